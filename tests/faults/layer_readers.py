@@ -11,6 +11,7 @@ from usdface.steps.edits.edit import all_frames
 from usdface.steps.edits.validate import validate_layers
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.review.faces import Actor
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_alpha_keys, read_mapping
 from usdface.usdio.performance.read import PerformanceReader, read_performance
@@ -22,7 +23,6 @@ from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import read_retargeting
 from usdface.usdio.retarget.sequences import read_matches, read_sequence
 from usdface.usdio.rig.mesh import read_face_mesh
-from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.stage_camera import StageCamera
 from usdface.usdio.surface.binding import read_binding
@@ -59,7 +59,7 @@ READERS: dict[str, tuple[str, str, Read]] = {
         "scan.binding.proposed.usda",
         lambda path: read_binding(path, read_face_mesh(path.with_name("scan.usdc"))),
     ),
-    "posed": ("shot.hero.usda", "shot.hero.usda", PosedRig),
+    "posed": ("shot.hero.usda", "shot.hero.usda", Actor),
     "range": ("shot.take.usda", "shot.take.usda", frame_range_of),
     "making": ("shot.hero.usda", "shot.hero.usda", read_provenance),
     "files": ("shot.hero.usda", "shot.hero.usda", referenced_files),

@@ -242,10 +242,18 @@ class RigMesh(_Asset):
     """``'none'``, ``'catmullClark'``, ``'loop'`` or ``'bilinear'``."""
     visible: bool = True
     """False if hidden or not for rendering (purpose guide or proxy)."""
+    inside_out: bool = False
+    """Whether polygons are clockwise seen from outside: left-handed, or mirrored by a transform."""
     face_colors: FloatArray | None = None
     """(polygons, 4): linear colour and opacity by materials; NaN without one."""
     undrawn: tuple[str, ...] = ()
     """Parts of its materials that pictures leave out."""
+
+
+def range_ends(ranges: FloatArray) -> FloatArray:
+    """Return the end of each range that is farther from 0, where the shape is full: (shapes,)."""
+    low, high = ranges.T
+    return np.asarray(np.where(-low > high, low, high))
 
 
 @dataclass(frozen=True, repr=False)
@@ -266,6 +274,18 @@ class Rig(_Asset):
     """Shapes that others drive, in the order of evaluation."""
     variants: tuple[tuple[str, str, str], ...] = ()
     """Prim path, variant set and variant of selections that are not the file's."""
+
+    @property
+    def ranges_of_ends(self) -> FloatArray:
+        """(shapes, 2): lowest and highest weight over that of `range_ends`."""
+        return np.sort(self.ranges / range_ends(self.ranges)[:, None], axis=1)
+
+    @property
+    def skin_meshes(self) -> tuple[RigMesh, ...]:
+        """The visible meshes if they have half of the shapes, else all: copies may be hidden."""
+        shown = tuple(mesh for mesh in self.meshes if mesh.visible)
+        names = {shape.name for mesh in shown for shape in mesh.shapes}
+        return shown if 2 * len(names) >= len(self.shapes) else self.meshes
 
     @property
     def logic(self) -> RigLogic:

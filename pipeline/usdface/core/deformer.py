@@ -1,9 +1,10 @@
 """A rig's meshes as one deformable surface."""
 
 import numpy as np
+from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
-from usdface.core.assets import Rig
+from usdface.core.assets import Rig, range_ends
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 from usdface.numerics.surface.triangulation import triangulate
@@ -19,7 +20,7 @@ class Deformer:
     starts : (meshes + 1,) int array
         Mesh *i* owns the points ``starts[i]:starts[i + 1]``.
     triangles : (triangles, 3) int array
-        Of all meshes.
+        Of all meshes, counterclockwise seen from outside.
     shapes : BlendShapes
         Channels in the rig's order, then combinations.
     """
@@ -30,10 +31,14 @@ class Deformer:
         self.neutral: FloatArray = np.concatenate([mesh.points for mesh in rig.meshes])
         self.triangles: IntArray = np.concatenate(
             [
-                triangulate(mesh.face_counts, mesh.face_indices)[0] + start
+                triangulate(mesh.face_counts, mesh.face_indices)[0][:, :: 1 - 2 * mesh.inside_out]
+                + start
                 for mesh, start in zip(rig.meshes, self.starts, strict=False)
             ]
         )
+        skin = {mesh.path for mesh in rig.skin_meshes}
+        self._is_skin = np.repeat([mesh.path in skin for mesh in rig.meshes], counts)
+        self._ends = range_ends(rig.ranges)
         channels = index_of((*rig.shapes, *(each.shape for each in rig.combinations)))
         self.shapes = BlendShapes(
             len(self.neutral),
@@ -54,5 +59,13 @@ class Deformer:
         return self.neutral + self.shapes.offsets(weights)
 
     def face_skin(self) -> FaceSkin:
-        """Sample the skin that the shapes move; `ValueError` if there is none."""
-        return sample_face_skin(self.neutral, self.triangles, self.shapes.target_offsets())
+        """Sample the skin, of `skin_meshes`, that shapes move; `ValueError` if there is none."""
+        return sample_face_skin(
+            self.neutral,
+            self.triangles[self._is_skin[self.triangles[:, 0]]],
+            self.full_offsets().multiply(np.repeat(self._is_skin, 3)).tocsr(),
+        )
+
+    def full_offsets(self) -> sparse.csr_array:
+        """Return displacements at the ends of ranges: (shapes, 3 * points) sparse array."""
+        return sparse.csr_array(self.shapes.target_offsets().multiply(self._ends[:, None]))

@@ -31,6 +31,19 @@ def column_matrix(matrix: Gf.Matrix4d) -> FloatArray:
     return np.array(matrix, dtype=np.float64).T
 
 
+def rest_transforms(prim: Usd.Prim) -> UsdGeom.XformCache:
+    """Return the transforms at rest of all prims under the top prim of one.
+
+    At the first samples if one has no default value, where USD takes the identity: exporters sample
+    transforms that never change.
+    """
+    top = prim.GetStage().GetPrimAtPath(prim.GetPath().GetPrefixes()[0])
+    xforms = map(UsdGeom.Xformable, Usd.PrimRange(top, Usd.TraverseInstanceProxies()))
+    operations = (op.GetAttr() for xform in xforms if xform for op in xform.GetOrderedXformOps())
+    sampled = any(each.GetNumTimeSamples() and each.Get() is None for each in operations)
+    return UsdGeom.XformCache(Usd.TimeCode.EarliestTime() if sampled else Usd.TimeCode.Default())
+
+
 def transform_points(matrix: FloatArray, points: ArrayLike) -> FloatArray:
     """Apply a (4, 4) column-vector transform to (n, 3) points."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)

@@ -1,6 +1,7 @@
 """What the blendshape equation says of weights: where they put the markers, and how far off."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -78,6 +79,24 @@ def test_what_is_proposed_for_a_pose_is_that_pose() -> None:
     weights = np.random.default_rng(1).random((20, 3))
     proposed = equation.propose(equation.neutral + shapes.offsets(weights))
     assert np.abs(proposed - weights).max() < 0.05
+
+
+def key_weights_of_shares(shapes: BlendShapes, end: float, weights: np.ndarray) -> np.ndarray:
+    return shapes.key_weights(weights / end)
+
+
+@pytest.mark.parametrize("end", [100.0, 0.1, -1.0])
+def test_a_proposal_is_the_same_share_of_any_range(end: float) -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(2).random((20, 3))
+    seen = equation.neutral + shapes.offsets(weights) + 0.3
+    other = replace(
+        equation,
+        deltas=equation.deltas / end,
+        ranges=np.sort(equation.ranges * end, axis=1),
+        keys=replace(equation.keys, key_weights=partial(key_weights_of_shares, shapes, end)),
+    )
+    np.testing.assert_allclose(other.propose(seen) / end, equation.propose(seen), atol=1e-6)
 
 
 def test_motion_is_enlarged_by_the_gain_before_it_is_explained() -> None:

@@ -16,6 +16,7 @@ from tests.regenerate import REPOSITORY
 from tests.steps.review.test_report import visit
 from tests.steps.small_shot import Shot
 from tests.test_docs import commands
+from tests.usdio.posed_points import PosedRig
 from tests.usdio.small_creature import (
     creature_acts,
     human_moves,
@@ -35,7 +36,6 @@ from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.driving_layers import head_layer_xforms, opens_layer
 from usdface.usdio.retarget.controls import read_control_clip
-from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import RigMotion
 from usdface.usdio.rig.write import write_rig

@@ -4,11 +4,11 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.steps.small_shot import Shot
+from tests.usdio.posed_points import PosedRig
 from usdface.runner.execute import execute
 from usdface.specs.edits import BakeSpec, EditSpec
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import RANGE_ATTRIBUTE
 
 

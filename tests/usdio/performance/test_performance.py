@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
+from tests.usdio.posed_points import PosedRig
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import SolveBasis
 from usdface.core.deformer import Deformer
@@ -21,7 +22,6 @@ from usdface.usdio.performance import weights_layer
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.performance.weights_layer import SolveFigures, make_header
 from usdface.usdio.performance.write import writing_performance
-from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.reference import moved_rig, replaced_motion_notes
 from usdface.usdio.rig.write import write_rig

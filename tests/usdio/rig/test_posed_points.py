@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
+from tests.usdio.posed_points import PosedRig
 from tests.usdio.small_creature import (
     creature_acts,
     human_moves,
@@ -16,7 +17,6 @@ from tests.usdio.small_creature import (
 )
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 
 

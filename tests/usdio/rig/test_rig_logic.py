@@ -10,6 +10,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from tests.tuning.small_asset import small_references
 from tests.usdio.driven_rig import COMBINATIONS, driven_rig
+from tests.usdio.posed_points import PosedRig
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -23,7 +24,6 @@ from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.references.write import write_references, write_tuned_weights
-from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 

@@ -290,9 +290,10 @@ def _profile(skin: FaceSkin, known: dict[str, FloatArray]) -> dict[str, FloatArr
     extreme("nose_bridge", eye_y - 0.02 * span, eye_y + 0.18 * span, foremost=False)
     if "brow_inner_L" in known and "brow_inner_R" in known:
         between = (known["brow_inner_L"] + known["brow_inner_R"]) / 2
-        found["brow_centre"] = _nearest(
-            skin, np.array([skin.sagittal_x, between[1], between[2] + 60.0])
-        )
+        level = middle & (abs(at[:, 1] - between[1]) < _MIDDLE_MM)  # a muzzle is farther ahead
+        if level.any():
+            ahead = np.array([skin.sagittal_x, between[1], between[2] + 60.0])
+            found["brow_centre"] = _nearest(skin, ahead, level)
     for name, share in (("lip_upper", 0.16), ("lip_lower", -0.2)):
         ahead = np.array([skin.sagittal_x, mouth[1] + share * span, mouth[2] + _AHEAD_MM])
         found[name] = _nearest(skin, ahead, middle & (at[:, 1] < nose_y))

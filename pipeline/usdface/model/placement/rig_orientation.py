@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.core.assets import Rig
+from usdface.core.assets import Rig, range_ends
 from usdface.core.errors import InputError
 from usdface.model.retarget.shape_names import read_meanings
 
@@ -128,12 +128,15 @@ def _motions(
     weighted: dict[tuple[str, str], FloatArray] = {}
     total: dict[tuple[str, str], float] = {}
     meanings = read_meanings(list({s.name: s for mesh in rig.meshes for s in mesh.shapes}))
-    for mesh in rig.meshes:
+    ends = dict(zip(rig.shapes, np.sign(range_ends(rig.ranges)), strict=True))
+    for mesh in rig.skin_meshes:
         for shape in mesh.shapes:
-            meant, full = meanings[shape.name], shape.keys[-1]
+            meant = meanings[shape.name]
+            full = next(key for key in shape.keys if key.weight == 1.0)
             key = meant.motion, meant.side
             size = np.linalg.norm(full.offsets, axis=1)
-            moved[key] = moved.get(key, np.zeros(3)) + full.offsets.sum(axis=0)
+            way = ends.get(shape.name, 1.0)
+            moved[key] = moved.get(key, np.zeros(3)) + way * full.offsets.sum(axis=0)
             weighted[key] = weighted.get(key, np.zeros(3)) + size @ mesh.points[full.points]
             total[key] = total.get(key, 0.0) + float(size.sum())
     return moved, {key: weighted[key] / total[key] for key in total if total[key] > 0}

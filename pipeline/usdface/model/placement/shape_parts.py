@@ -84,7 +84,7 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     off_skin = np.ones(len(points), dtype=np.bool_)
     off_skin[skin.corners] = False
     found = list(names)
-    motions = _motions(deformer.shapes.target_offsets())
+    motions = _motions(deformer.full_offsets())
     moving = [shape for shape in foreign if motions[shape].max(initial=0.0) > _LEAST_MOTION_MM]
     for shape in moving:
         moved, on_skin = motions[shape], np.linalg.norm(skin.deltas[shape], axis=1)

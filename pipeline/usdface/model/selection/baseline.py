@@ -10,12 +10,13 @@ measured, and they are scaled to full closure or held at 0.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_frames
-from usdface.core.assets import Markers, Rig
+from usdface.core.assets import Markers, Rig, range_ends
 from usdface.core.deformer import Deformer
 from usdface.core.errors import as_input_error
 from usdface.core.last_result import cache_last_result
@@ -246,17 +247,19 @@ class BlendshapeEquation:
         motion = self.motion(positions)
         fixed = [] if self.lids is None else list(self.lids.fixed)
         limits[fixed] = np.clip(0.0, limits[fixed, 0], limits[fixed, 1])[:, None]
-        return solve_weights(
-            self.deltas,
+        full = range_ends(self.ranges)  # the ridge is for weights of 1 where a shape is full
+        solution = solve_weights(
+            self.deltas * full[:, None, None],
             motion * self.gain[:, None],
-            ranges=limits,
+            ranges=np.sort(limits / full[:, None], axis=1),
             visible=visible,
             marker_trust=self.trust,
             ridge=PROPOSAL_RIDGE,
-            keys=self.keys,
+            keys=replace(self.keys, key_weights=partial(_full_key_weights, self.keys, full)),
             noise_mm=self.noise_mm,
             tied=() if self.lids is None else self.lids.tied,
         )
+        return replace(solution, weights=solution.weights * full)
 
     def residual_mm(
         self, positions: Positions, weights: FloatArray, *, without: tuple[int, ...] = ()
@@ -270,6 +273,10 @@ class BlendshapeEquation:
         """Return displacements of the virtual markers, including in-betweens."""
         keys = self.keys.key_weights(weights)
         return np.asarray(np.einsum("fk,kmc->fmc", keys, self.keys.deltas, optimize=True))
+
+
+def _full_key_weights(keys: MarkerKeys, full: FloatArray, shares: FloatArray) -> FloatArray:
+    return keys.key_weights(shares * full)
 
 
 @dataclass(frozen=True)
@@ -317,7 +324,7 @@ def set_up_equation(
             visible=visible[picks],
             rigid=performer.rigid,
         )
-        placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
+        placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges_of_ends)
     return equation_at(rig, deformer, placement.virtual, performer)
 
 
@@ -328,8 +335,7 @@ def equation_at(
     """Return the equation of markers at known places, `virtual`, on a character."""
     positions, visible, neutral = performer.positions, performer.visible, performer.neutral
     picks = sample_frames(len(positions), MOTION_FRAMES)
-    offsets = deformer.shapes.target_offsets()
-    deltas = marker_deltas(virtual, offsets)
+    deltas = marker_deltas(virtual, deformer.shapes.target_offsets())
     keys = MarkerKeys(
         deltas=marker_deltas(virtual, deformer.shapes.key_offsets),
         channels=deformer.shapes.key_channels,
@@ -338,19 +344,20 @@ def equation_at(
     trust = np.ones(len(neutral))
     trust[list(performer.rigid)] = 0.0
     motion = character_motion(virtual, positions[picks], neutral)
+    full = range_ends(rig.ranges)[:, None, None] * deltas
     lids = find_lid_evidence(
         rig.shapes,
-        offsets,
-        deltas,
+        deformer.full_offsets(),
+        full,
         np.split(motion, np.searchsorted(picks, performer.starts[1:])),
         trust,
         lid_sides=upper_lid_sides(performer.labels),
     )
     gain = match_peaks(
-        deltas,
+        full,
         motion,
         lids.closing,
-        ranges=rig.ranges,
+        ranges=rig.ranges_of_ends,
         visible=visible[picks],
         marker_trust=trust,
     )

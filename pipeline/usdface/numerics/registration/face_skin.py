@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.last_result import cache_last_result
 from usdface.numerics.registration.virtual_markers import deltas_at
+from usdface.numerics.rigid.rigid_alignment import align_rigid, alignment_residuals
 from usdface.numerics.surface.surface_graph import connected_parts
 from usdface.numerics.surface.triangulation import triangle_areas
 
@@ -59,7 +60,7 @@ def facing_direction(points: FloatArray, triangles: IntArray, activity: FloatArr
     if not (a * area).sum() > 0:
         raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
     middle = corners.mean(axis=1)
-    size = float(np.ptp(points, axis=0).max())
+    size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     ahead = np.average(middle, axis=0, weights=a * area) - np.average(middle, axis=0, weights=area)
     facing = np.array([ahead[0], 0, ahead[2]]) / (0.1 * size)
     outward = np.einsum("ij,i->j", cross, a) / (2 * (a * area).sum())
@@ -182,7 +183,8 @@ class FaceSkin:
     areas: FloatArray
     """(samples,): area that each represents [mm^2]."""
     deltas: Float32Array
-    """(shapes, samples, 3): displacements by each shape at 1, in the face's frame [mm]."""
+    """(shapes, samples, 3): displacements by each shape in full, in the face's frame [mm]; 0 by
+    those that carry the head or hide a part."""
     sagittal_x: float
     """Offset of the plane of symmetry along its normal, the X axis [mm]."""
     size_mm: float
@@ -207,9 +209,12 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
         At rest, Y up [mm].
     triangles : (triangles, 3) int array
     offsets : (shapes, 3 * points) sparse array
-        Displacements by each shape at 1 [mm].
+        Displacements by each shape in full [mm].
     """
     matrix = sparse.csc_array(offsets)
+    deform = _shapes_that_deform(points, triangles, matrix.tocsr())
+    if not deform.all():
+        matrix = sparse.csc_array(sparse.diags_array(deform * 1.0) @ matrix)
     squares = np.asarray(matrix.power(2).sum(axis=0), float).reshape(-1, 3).sum(axis=1)
     activity = np.sqrt(squares)
     facing = facing_direction(points, triangles, activity)
@@ -238,6 +243,41 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
         float(radius),
     )
+
+
+_CARRIED_SHARE = 0.85
+"""[of the squared displacements] Rigid share from which a shape carries the head: jaws have up to
+0.82 over the skin that they move, turns and nods that fade over the neck 0.91 or more."""
+
+_MOVED_SHARE = 0.02
+"""[of a shape's largest displacement] Smaller displacements are neglected."""
+
+
+def _shapes_that_deform(
+    points: FloatArray, triangles: IntArray, offsets: sparse.csr_array
+) -> BoolArray:
+    """Return the shapes that neither carry the head nor move points farther than its size.
+
+    All shapes if no other is left.
+    """
+    areas = np.repeat(triangle_areas(points, triangles) / 3, 3)
+    area = np.bincount(triangles.ravel(), areas, minlength=len(points))
+    most = np.asarray(abs(offsets).max(axis=1).toarray()).ravel()
+    moved = np.zeros(len(points), np.bool_)
+    for row, peak in enumerate(most.tolist()):
+        at = slice(*offsets.indptr[row : row + 2].tolist())
+        large = np.abs(offsets.data[at]) > _MOVED_SHARE * peak
+        moved[offsets.indices[at][large] // 3] = True
+    rest, weights = points[moved], area[moved]
+    deform = most <= (np.ptp(rest, axis=0).max() if len(rest) else 0.0)
+    for row in np.flatnonzero(deform).tolist():
+        step = offsets[[row]].toarray().reshape(-1, 3)[moved]
+        square = (step**2).sum(axis=1)
+        if 2 * weights[square > (_MOVED_SHARE * most[row]) ** 2].sum() > weights.sum():
+            rigid = align_rigid((rest + step)[None], rest, weights=weights[None])
+            left = alignment_residuals((rest + step)[None], rest, rigid)[0]
+            deform[row] = weights @ left**2 > (1 - _CARRIED_SHARE) * (weights @ square)
+    return deform if deform.any() else ~deform
 
 
 def _sagittal_x(positions: FloatArray) -> float:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,9 @@ from usdface.core.rig_logic import RigLogic
 
 _LEAST_SHARE = 0.02
 """[of the largest displacement] Points that all shapes move less are not part of the face."""
+
+_LARGEST_PEAK = 10.0
+"""[of the upper quartile of the shapes' largest displacements] Larger ones hide a part far away."""
 
 
 @dataclass(frozen=True)
@@ -175,9 +179,12 @@ class BlendShapes:
 
 def moving_points(offsets: FloatArray | sparse.sparray) -> IntArray:
     """Return the points that some row of offsets, (rows, 3 * points), moves: (n,) int array."""
-    energy = np.asarray(sparse.csc_array(offsets).power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
+    columns: Any = sparse.csc_array(offsets)
+    energy = np.asarray(columns.power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
     reach = np.sqrt(energy)
-    return np.flatnonzero(reach > _LEAST_SHARE * reach.max(initial=0.0))
+    peaks = np.asarray(abs(columns).max(axis=1).toarray()).ravel()
+    usual = np.quantile(peaks[peaks > 0], 0.75) if peaks.any() else 0.0
+    return np.flatnonzero(reach > _LEAST_SHARE * min(reach.max(initial=0.0), _LARGEST_PEAK * usual))
 
 
 def _share_between(weights: FloatArray, knots: list[tuple[float, int]], shares: FloatArray) -> None:

@@ -100,7 +100,7 @@ class PlacementScene:
         pins = {names.index(name): at for name, at in known.items() if name in names}
         with as_input_error(f"the markers cannot be placed on {rig.file}"):
             found = place_markers(
-                self._cloud, self._skin, rig.shapes, ranges=rig.ranges, pinned=pins
+                self._cloud, self._skin, rig.shapes, ranges=rig.ranges_of_ends, pinned=pins
             )
         at = found.virtual
         binding = bind_at(
@@ -148,7 +148,7 @@ class PlacementScene:
             self._rig.shapes,
             virtual,
             at=virtual.places(self._mesh.points),
-            ranges=self._rig.ranges,
+            ranges=self._rig.ranges_of_ends,
             by_labels=placement.by_labels,
             placed=[row for row, source in enumerate(sources) if source != "proposed"],
         )

@@ -1,10 +1,12 @@
 """Draw performances of several characters side by side."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
@@ -18,8 +20,9 @@ from usdface.runner.origin import pair_with_files
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
-from usdface.usdio.rig.posed_points import PosedRig
-from usdface.usdio.rig.reference import moved_rig
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.rig.reference import moved_rig, read_rig_of_stage
+from usdface.usdio.rig.rig_motion import RigMotion
 
 MOVES_MM, MOVES_SHARE = 2.0, 0.2
 """Displacement [mm], and share of the largest displacement, above which points must be within the
@@ -37,7 +40,7 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress) -> StepR
     actors = []
     for path, rig in pair_with_files(spec.performances, spec.rig, "rig"):
         with moved_rig(rig):
-            actors.append(PosedRig(path))
+            actors.append(Actor(path))
     frames = _shared(spec, actors)
     chosen = _most_different(actors[0], frames, spec.rows)
     rows = []
@@ -70,10 +73,25 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress) -> StepR
     )
 
 
+class Actor:
+    """A character in its performance."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.reader = path, PerformanceReader(path)
+        self.rig = read_rig_of_stage(self.reader.stage, self.reader.animation)
+        self._deformer, self._motion = Deformer(self.rig), RigMotion(path, self.rig)
+
+    def points(self, frame: int) -> FloatArray:
+        """Return the points of all meshes at a frame, (points, 3) [mm]."""
+        edited = self.reader.edited(frame, frame)
+        weights = columns_by_name(edited, self.reader.names, self.rig.shapes)
+        return self._motion.apply(self._deformer.points(weights)[0], frame)
+
+
 class _Column:
     """Draws one character, with its camera and renderer."""
 
-    def __init__(self, actor: PosedRig, frames: IntArray, spec: FacesSpec) -> None:
+    def __init__(self, actor: Actor, frames: IntArray, spec: FacesSpec) -> None:
         self._spec = spec
         self._posed = {frame: actor.points(frame) for frame in frames.tolist()}
         self._renderer = FaceRenderer(actor.rig.meshes)
@@ -126,7 +144,7 @@ class _Column:
         return Tile(pixels)
 
 
-def _shared(spec: FacesSpec, actors: list[PosedRig]) -> IntArray:
+def _shared(spec: FacesSpec, actors: list[Actor]) -> IntArray:
     first = max(actor.reader.first_frame for actor in actors)
     last = min(actor.reader.last_frame for actor in actors)
     limits = frame_range(spec.frames)
@@ -145,7 +163,7 @@ def _shared(spec: FacesSpec, actors: list[PosedRig]) -> IntArray:
     return np.arange(first, last + 1, dtype=np.int64)
 
 
-def _most_different(actor: PosedRig, frames: IntArray, count: int) -> IntArray:
+def _most_different(actor: Actor, frames: IntArray, count: int) -> IntArray:
     """Return the most different frames, by farthest-point selection of weights."""
     picks = frames[:: -(-len(frames) // MOST_POSES)]
     weights: FloatArray = actor.reader.edited(int(frames[0]), int(frames[-1])).astype(np.float64)

@@ -30,7 +30,7 @@ from usdface.usdio.retarget.controls import (
     set_joint_samples,
 )
 from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
-from usdface.usdio.units import column_matrix, stage_to_ours
+from usdface.usdio.units import column_matrix, rest_transforms, stage_to_ours
 
 TRANSFORM = "xformOp:transform:head"
 
@@ -129,7 +129,7 @@ def _author_xform(over: Sdf.PrimSpec, prim: Usd.Prim, world: FloatArray, first: 
     start = int(xform.GetResetXformStack())
     parent = np.eye(4)
     if not start:
-        parent = column_matrix(UsdGeom.XformCache().GetParentToWorldTransform(prim))
+        parent = column_matrix(rest_transforms(prim).GetParentToWorldTransform(prim))
     order = [*operations[:start], TRANSFORM, *operations[start:]]
     author_uniform(over, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
     local = (np.linalg.inv(parent) @ world @ parent).transpose(0, 2, 1)

@@ -12,8 +12,9 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.authoring import check_not_instanced, names_in, prims_below
 from usdface.usdio.layers import open_stage
+from usdface.usdio.rig.mesh import at_rest
 from usdface.usdio.rig.read import skeletons_of
-from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.units import column_matrix, rest_transforms, stage_to_ours, transform_points
 
 _LISTED_NAMES = 12
 
@@ -86,7 +87,8 @@ def joint_rest(skeleton: UsdSkel.Skeleton, joint: str) -> tuple[FloatArray, Floa
     """Return a joint's rest, its parent's rest in the stage's world, and whether it has none."""
     names = names_in(skeleton.GetJointsAttr())
     rest = [column_matrix(each) for each in skeleton.GetRestTransformsAttr().Get()]
-    world = column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(skeleton.GetPrim()))
+    prim = skeleton.GetPrim()
+    world = column_matrix(rest_transforms(prim).GetLocalToWorldTransform(prim))
     above = [name for name in names if joint.startswith(f"{name}/")]
     for name in sorted(above, key=len):
         world = world @ rest[names.index(name)]
@@ -111,7 +113,8 @@ def _xform_pivot(stage: Usd.Stage, rig: Rig, path: str) -> tuple[float, float, f
     Groups whose transforms were frozen into their points have the origin of the world, which may be
     at a character's feet.
     """
-    prim, cache = stage.GetPrimAtPath(path), UsdGeom.XformCache()
+    prim = stage.GetPrimAtPath(path)
+    cache = rest_transforms(prim)
     check_not_instanced(rig.file, prim)
     origin = column_matrix(cache.GetLocalToWorldTransform(prim))[:3, 3]
     if UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get():
@@ -119,7 +122,7 @@ def _xform_pivot(stage: Usd.Stage, rig: Rig, path: str) -> tuple[float, float, f
     clouds = [
         transform_points(column_matrix(cache.GetLocalToWorldTransform(each)), points)
         for each in prims_below(prim, UsdGeom.Mesh)
-        if (points := UsdGeom.Mesh(each).GetPointsAttr().Get())
+        if (points := at_rest(UsdGeom.Mesh(each).GetPointsAttr()))
     ]
     if not clouds:
         return _in_millimetres(stage, origin)

@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.authoring import check_not_instanced, prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
-from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
+from usdface.usdio.units import column_matrix, rest_transforms, stage_to_ours, transform_points
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class RestPose:
     def __init__(self, root: UsdSkel.Root, ours: FloatArray) -> None:
         self._root = root
         self._ours = ours
-        self._transforms = UsdGeom.XformCache()
+        self._transforms: UsdGeom.XformCache | None = None
 
     @cached_property
     def _bindings(self) -> dict[str, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]]:
@@ -79,6 +79,7 @@ class RestPose:
 
     def place(self, prim: Usd.Prim, local: FloatArray) -> PlacedMesh:
         """Return the points of a mesh skinned at rest, as in UsdSkel."""
+        self._transforms = self._transforms or rest_transforms(prim)
         query, target = self._bindings.get(str(prim.GetPath()), (None, None))
         if query and target and target.HasJointInfluences():
             skinned = _skin_at_rest(query, target, local)
@@ -231,28 +232,22 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     chosen, others = _find_mesh(stage, path, prim)
     where = f"{path} <{chosen.GetPath()}>"
     check_not_instanced(path, chosen)
-    geometry = UsdGeom.Mesh(chosen)
-    _refuse_changing_topology(geometry, where)
-    local = np.array(_at_rest(geometry.GetPointsAttr()) or [], np.float64).reshape(-1, 3)
-    counts = np.array(_at_rest(geometry.GetFaceVertexCountsAttr()) or [], np.int64)
-    indices = np.array(_at_rest(geometry.GetFaceVertexIndicesAttr()) or [], np.int64)
-    _check_surface(local, counts, indices, where)
-    placed = RestPose(UsdSkel.Root.Find(chosen), stage_to_ours(stage)).place(chosen, local)
-    kind, attribute, authored = authored_normals(geometry, len(local), len(indices))
-    mesh = RigMesh(
-        path=str(chosen.GetPath()),
-        points=placed.points,
-        face_counts=counts,
-        face_indices=indices,
-        colors=read_colors(geometry, len(local), indices),
-        subdivision=str(geometry.GetSubdivisionSchemeAttr().Get()),
-    )
+    _refuse_changing_topology(UsdGeom.Mesh(chosen), where)
+    rest = RestPose(UsdSkel.Root.Find(chosen), stage_to_ours(stage))
+    mesh, local, placed = read_geometry(chosen, rest, where)
+    corners = len(mesh.face_indices)
+    if not (mesh.face_counts >= 3).any():
+        raise InputError(
+            f"{where}: has {len(local)} points and no faces; distances on a surface need one: "
+            "mesh the points first"
+        )
+    kind, attribute, authored = authored_normals(UsdGeom.Mesh(chosen), len(local), corners)
     return FaceMesh(
         file=path,
         mesh=mesh,
         local=local,
         linear=placed.linear,
-        world=column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(chosen)),
+        world=column_matrix(rest_transforms(chosen).GetLocalToWorldTransform(chosen)),
         normals=kind,
         normals_attribute=attribute,
         authored_normals=authored,
@@ -260,7 +255,7 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     )
 
 
-def _at_rest(attribute: Usd.Attribute) -> Any:
+def at_rest(attribute: Usd.Attribute) -> Any:
     """Return the default value, else the first sample."""
     value = attribute.Get()
     return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
@@ -275,7 +270,7 @@ def _find_mesh(stage: Usd.Stage, path: Path, prim: str | None) -> tuple[Usd.Prim
     if not found:
         raise InputError(f"{path} <{top.GetPath()}>: holds no mesh; is it the face's file?")
     if len(found) > 1:
-        sizes = {each: len(_at_rest(UsdGeom.Mesh(each).GetPointsAttr()) or ()) for each in found}
+        sizes = {each: len(at_rest(UsdGeom.Mesh(each).GetPointsAttr()) or ()) for each in found}
         named = sorted(found, key=lambda each: -sizes[each])
         paths = first_few(f"<{each.GetPath()}> ({sizes[each]} points)" for each in named)
         raise InputError(
@@ -305,17 +300,17 @@ def _refuse_changing_topology(geometry: UsdGeom.Mesh, where: str) -> None:
         )
 
 
-def _check_surface(local: FloatArray, counts: IntArray, indices: IntArray, where: str) -> None:
-    if not len(counts) or not (counts >= 3).any():
-        raise InputError(
-            f"{where}: has {len(local)} points and no faces; distances on a surface need one: "
-            "mesh the points first"
-        )
-    check_mesh(local, counts, indices, where)
+def read_geometry(
+    prim: Usd.Prim, rest: RestPose, where: str
+) -> tuple[RigMesh, FloatArray, PlacedMesh]:
+    """Read a mesh at rest without shapes and materials, its points in the file, and its place.
 
-
-def check_mesh(local: FloatArray, counts: IntArray, indices: IntArray, where: str) -> None:
-    """Refuse faces of points that are not there, and points that are not finite."""
+    Faces of points that are not there, and points that are not finite, are refused.
+    """
+    geometry = UsdGeom.Mesh(prim)
+    local = np.array(at_rest(geometry.GetPointsAttr()) or [], np.float64).reshape(-1, 3)
+    counts = np.array(at_rest(geometry.GetFaceVertexCountsAttr()) or [], np.int64)
+    indices = np.array(at_rest(geometry.GetFaceVertexIndicesAttr()) or [], np.int64)
     fits = counts.min(initial=0) >= 0 and counts.sum() == len(indices)
     if not fits or indices.min(initial=0) < 0 or indices.max(initial=-1) >= len(local):
         raise InputError(f"{where}: its faces name points that are not there; repair the mesh")
@@ -325,6 +320,18 @@ def check_mesh(local: FloatArray, counts: IntArray, indices: IntArray, where: st
             f"{where}: points hold NaN or infinity ({len(bad)}, the first is point {bad[0]}); "
             "repair the mesh"
         )
+    placed = rest.place(prim, local)
+    left_handed = geometry.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+    mesh = RigMesh(
+        path=str(prim.GetPath()),
+        points=placed.points,
+        face_counts=counts,
+        face_indices=indices,
+        colors=read_colors(geometry, len(local), indices),
+        subdivision=str(geometry.GetSubdivisionSchemeAttr().Get()),
+        inside_out=bool(left_handed != (np.median(np.linalg.det(placed.linear)) < 0)),
+    )
+    return mesh, local, placed
 
 
 def authored_normals(
@@ -337,7 +344,7 @@ def authored_normals(
         values = primvar.ComputeFlattened()
     else:
         attribute, interpolation = "normals", geometry.GetNormalsInterpolation()
-        values = _at_rest(geometry.GetNormalsAttr())
+        values = at_rest(geometry.GetNormalsAttr())
     if not values:
         return "", attribute, None
     normals = np.array(values, np.float64).reshape(-1, 3)

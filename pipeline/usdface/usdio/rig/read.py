@@ -8,14 +8,14 @@ from typing import cast
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode, order_combinations
 from usdface.usdio.authoring import names_in, prims_below, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
-from usdface.usdio.rig.mesh import PlacedMesh, RestPose, authored_normals, check_mesh, read_colors
+from usdface.usdio.rig.mesh import PlacedMesh, RestPose, authored_normals, read_geometry
 from usdface.usdio.units import stage_to_ours
 
 RANGE_ATTRIBUTE = "face:range"
@@ -26,6 +26,9 @@ COMBINATION_PARTS = "face:combination:shapes"
 COMBINATION_MODE = "face:combination:mode"
 COMBINATION_WEIGHTS = "face:combination:weights"
 COMBINATION_SPANS = "face:combination:spans"
+
+_SAME_WEIGHT = 1e-6
+"""Difference from 0 or 1 up to which UsdSkel ignores an in-between."""
 
 
 @refusing_wrong_types
@@ -235,27 +238,11 @@ def _has_shapes(prim: Usd.Prim) -> bool:
 
 
 def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
-    mesh = UsdGeom.Mesh(prim)
-    local = np.array(mesh.GetPointsAttr().Get() or [], dtype=np.float64).reshape(-1, 3)
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
-    where = f"{path} <{prim.GetPath()}>"
-    check_mesh(local, counts, indices, where)
-    placed = rest.place(prim, local)
-    look = read_look(prim, len(counts))
-    bare = RigMesh(
-        path=str(prim.GetPath()),
-        points=placed.points,
-        face_counts=counts,
-        face_indices=indices,
-        colors=read_colors(mesh, len(local), indices),
-        normals=_read_normals(mesh, placed, len(indices)),
-        subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
-        visible=mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
-        and mesh.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
-        face_colors=look.face_colors,
-        undrawn=look.undrawn,
-    )
+    mesh, where = UsdGeom.Mesh(prim), f"{path} <{prim.GetPath()}>"
+    bare, _, placed = read_geometry(prim, rest, where)
+    look = read_look(prim, len(bare.face_counts))
+    visible = mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
+    drawn = mesh.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
     binding = UsdSkel.BindingAPI(prim)
     names = [str(name) for name in binding.GetBlendShapesAttr().Get() or []]
     targets = binding.GetBlendShapeTargetsRel().GetTargets()
@@ -272,24 +259,20 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
                 f"{where}: shape {name} targets <{target}>, which is no BlendShape; "
                 "correct skel:blendShapeTargets"
             )
-        keys = tuple(
-            ShapeKey(
-                weight=weight,
-                points=points,
-                offsets=placed.offsets(points, offsets),
-                normal_offsets=None if normals is None else placed.normals(normals, points),
-            )
-            for weight, points, offsets, normals in _shape_keys(shape, len(local), path)
-        )
-        shapes.append(MeshShape(name, keys))
-    return replace(bare, shapes=tuple(shapes))
+        shapes.append(MeshShape(name, _shape_keys(shape, placed, path)))
+    return replace(
+        bare,
+        shapes=tuple(shapes),
+        normals=_read_normals(mesh, placed, len(bare.face_indices)),
+        visible=visible and drawn,
+        face_colors=look.face_colors,
+        undrawn=look.undrawn,
+    )
 
 
-def _shape_keys(
-    shape: UsdSkel.BlendShape, point_count: int, path: Path
-) -> list[tuple[float, IntArray, FloatArray, FloatArray | None]]:
-    """Return (weight, points, offsets, normal offsets) by ascending weight."""
-    where = f"{path} <{shape.GetPath()}>"
+def _shape_keys(shape: UsdSkel.BlendShape, placed: PlacedMesh, path: Path) -> tuple[ShapeKey, ...]:
+    """Return the target and in-betweens by ascending weight."""
+    where, point_count = f"{path} <{shape.GetPath()}>", len(placed.points)
     authored = shape.GetPointIndicesAttr().Get()
     points = np.arange(point_count) if not authored else np.array(authored, dtype=np.int64)
     if len(points) and (points.min() < 0 or points.max() >= point_count):
@@ -307,33 +290,24 @@ def _shape_keys(
             raise InputError(f"{where}: {what} hold NaN or infinity; repair the shape")
         return array
 
-    def normals(values: object) -> FloatArray | None:
-        return check(values, "normalOffsets") if values else None
+    def key(weight: float, offsets: FloatArray, turned: object) -> ShapeKey:
+        normals = placed.normals(check(turned, "normalOffsets"), points) if turned else None
+        return ShapeKey(weight, points, placed.offsets(points, offsets), normals)
 
     offsets = shape.GetOffsetsAttr().Get()
-    keys = [
-        (
-            1.0,
-            points,
-            # A shape may turn normals alone, and then has no offsets.
-            check(offsets, "offsets") if offsets else np.zeros((len(points), 3)),
-            normals(shape.GetNormalOffsetsAttr().Get()),
-        )
-    ]
+    # A shape may turn normals alone, and then has no offsets.
+    moved = check(offsets, "offsets") if offsets else np.zeros((len(points), 3))
+    keys = [key(1.0, moved, shape.GetNormalOffsetsAttr().Get())]
     for between in shape.GetInbetweens():
         weight = between.GetWeight()
         # UsdSkel ignores an in-between at 0 or 1, where the neutral and the target are.
-        if weight is None or weight in (0.0, 1.0):
+        if weight is None or min(abs(weight), abs(weight - 1.0)) <= _SAME_WEIGHT:
             continue
-        keys.append(
-            (
-                float(weight),
-                points,
-                check(between.GetOffsets(), f"offsets of in-between {weight:g}"),
-                normals(between.GetNormalOffsets()),
-            )
-        )
-    return sorted(keys, key=lambda key: key[0])
+        if weight in [each.weight for each in keys]:
+            raise InputError(f"{where}: has two in-betweens at weight {weight:g}; remove one")
+        offsets = check(between.GetOffsets(), f"offsets of in-between {weight:g}")
+        keys.append(key(float(weight), offsets, between.GetNormalOffsets()))
+    return tuple(sorted(keys, key=lambda each: each.weight))
 
 
 def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...], path: Path) -> FloatArray:

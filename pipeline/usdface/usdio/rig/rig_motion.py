@@ -19,7 +19,7 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.mesh import skel_bindings
 from usdface.usdio.rig.read import open_variant
 from usdface.usdio.rig.reference import rig_path_of, stage_with_rig
-from usdface.usdio.units import column_matrix, stage_to_ours
+from usdface.usdio.units import column_matrix, rest_transforms, stage_to_ours
 
 
 class PointMotion:
@@ -188,7 +188,8 @@ class _Placement:
 
         Of joints, the skinning transform; at the default time, that of the rest pose.
         """
-        cache, skins = UsdGeom.XformCache(time), dict[Sdf.Path, list[FloatArray]]()
+        top, skins = self.stage.GetPrimAtPath(self.root), dict[Sdf.Path, list[FloatArray]]()
+        cache = rest_transforms(top) if time.IsDefault() else UsdGeom.XformCache(time)
         out = []
         for path, joint in parts:
             prim = self.stage.GetPrimAtPath(path.MakeAbsolutePath(self.root))

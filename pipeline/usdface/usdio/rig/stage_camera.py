@@ -16,7 +16,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.authoring import prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
-from usdface.usdio.units import column_matrix, millimetres, stage_to_ours
+from usdface.usdio.units import column_matrix, millimetres, rest_transforms, stage_to_ours
 
 _UNITS_PER_TENTH = 0.1  # apertures and focal lengths count tenths of a scene unit
 
@@ -72,7 +72,7 @@ class StageCamera:
         unit = rig if self.holds_character else self._stage
         self._ours = stage_to_ours(unit)
         self._millimetres = millimetres(unit)
-        self._home = UsdGeom.XformCache().GetLocalToWorldTransform(home)
+        self._home = rest_transforms(home).GetLocalToWorldTransform(home)
 
     @refusing_wrong_types
     def at(self, frame: int) -> StageView:

@@ -66,30 +66,22 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
             f"{path}: holds no markers (time-sampled Points, Skeleton joints or Xforms) and no "
             "blendShapeWeights; check that the file is the capture"
         )
-    times = (
-        sets[0].times
-        if sets
-        else UsdSkel.Animation(weights).GetBlendShapeWeightsAttr().GetTimeSamples()
-    )
-    grid = _frame_grid(stage, times, path)
-    positions = np.zeros((len(grid.stage_times), 0, 3), dtype=np.float32)
-    visible = np.zeros((len(grid.stage_times), 0), dtype=np.bool_)
-    names: tuple[str, ...] = ()
-    kind = ""
-    if sets:
-        marker_set = sets[0]
-        names, kind = marker_set.names, f"{marker_set.kind} <{marker_set.path}>"
-        positions = np.empty((len(grid.stage_times), len(names), 3), dtype=np.float32)
-        ours = stage_to_ours(stage)
-        for index, time in enumerate(grid.stage_times):
-            row = marker_set.at(time)
-            if len(row) != len(names):
-                raise InputError(
-                    f"{path} <{marker_set.path}> time code {time:g}: {len(row)} points for "
-                    f"{len(names)} markers; every marker must keep its slot over the take"
-                )
-            positions[index] = row @ ours.T
-        visible = grid.sampled[:, None] & ~np.isnan(positions).any(axis=2)
+    if not sets:
+        times = UsdSkel.Animation(weights).GetBlendShapeWeightsAttr().GetTimeSamples()
+        sets = [_MarkerSet("", "", (), times, lambda time: np.zeros((0, 3)))]
+    (markers,), ours = sets, stage_to_ours(stage)
+    grid = _frame_grid(stage, markers.times, path)
+    names, kind = markers.names, markers.kind and f"{markers.kind} <{markers.path}>"
+    positions = np.empty((len(grid.stage_times), len(names), 3), dtype=np.float32)
+    for index, time in enumerate(grid.stage_times):
+        row = markers.at(time)
+        if len(row) != len(names):
+            raise InputError(
+                f"{path} <{markers.path}> time code {time:g}: {len(row)} points for "
+                f"{len(names)} markers; every marker must keep its slot over the take"
+            )
+        positions[index] = row @ ours.T
+    visible = grid.sampled[:, None] & ~np.isnan(positions).any(axis=2)
     source = None
     if weights is not None:
         animation = UsdSkel.Animation(weights)
@@ -171,9 +163,8 @@ def _points_set(prim: Usd.Prim, attribute: Usd.Attribute) -> _MarkerSet:
     def at(time: float) -> FloatArray:
         points = np.array(attribute.Get(time) or [], dtype=np.float64).reshape(-1, 3)
         if slots and len(ids.Get(time)) == len(points):
-            rows = [slots[each] for each in ids.Get(time)]
             found, points = points, np.full((len(slots), 3), np.nan)
-            points[rows] = found
+            points[[slots[each] for each in ids.Get(time)]] = found
         world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)
         return transform_points(column_matrix(world), points)
 

@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.usdio.authoring import names_in, prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.mesh import skel_bindings
+from usdface.usdio.rig.mesh import at_rest, skel_bindings
 from usdface.usdio.rig.read import faces_below, find_face
 from usdface.usdio.rig.reference import read_rig_of_stage, rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -41,7 +41,7 @@ class PosedRig:
         # In the rig's units, which references do not convert.
         self._ours = stage_to_ours(open_stage(file))
         if [len(mesh.points) for mesh in self.rig.meshes] != [
-            len(UsdGeom.Mesh(prim).GetPointsAttr().Get() or ()) for prim in self._meshes
+            len(at_rest(UsdGeom.Mesh(prim).GetPointsAttr()) or ()) for prim in self._meshes
         ]:
             raise InputError(f"{path}: its meshes are not those of {file}; map or retarget again")
 
