@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
-from usdface.core.assets import Rig, range_ends
+from usdface.core.assets import Rig, RigMesh, range_ends
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 from usdface.numerics.surface.triangulation import triangulate
@@ -31,8 +31,7 @@ class Deformer:
         self.neutral: FloatArray = np.concatenate([mesh.points for mesh in rig.meshes])
         self.triangles: IntArray = np.concatenate(
             [
-                triangulate(mesh.face_counts, mesh.face_indices)[0][:, :: 1 - 2 * mesh.inside_out]
-                + start
+                _outward_triangles(mesh) + start
                 for mesh, start in zip(rig.meshes, self.starts, strict=False)
             ]
         )
@@ -69,3 +68,8 @@ class Deformer:
     def full_offsets(self) -> sparse.csr_array:
         """Return displacements at the ends of ranges: (shapes, 3 * points) sparse array."""
         return sparse.csr_array(self.shapes.target_offsets().multiply(self._ends[:, None]))
+
+
+def _outward_triangles(mesh: RigMesh) -> IntArray:
+    triangles = triangulate(mesh.face_counts, mesh.face_indices)[0]
+    return triangles[:, ::-1] if mesh.inside_out else triangles
