@@ -128,3 +128,14 @@ def test_a_marker_without_a_place_has_no_residual() -> None:
     assert equation.residual_mm(shown, weights).min() > 5.0
     placed = replace(equation, unplaced=(4,))
     np.testing.assert_allclose(placed.residual_mm(shown, weights), 0.0, atol=1e-9)
+
+
+def test_a_hidden_marker_has_no_residual() -> None:
+    equation, shapes = bent_equation()
+    weights = np.random.default_rng(1).random((20, 3))
+    shown, visible = equation.neutral + shapes.offsets(weights), np.ones((20, MARKERS), np.bool_)
+    shown[:10, 4] += 30.0  # where it was last seen
+    visible[:10, 4] = False
+    visible[3] = False
+    away = equation.residual_mm(shown, weights, visible=visible)
+    np.testing.assert_allclose(away, 0.0, atol=1e-9)

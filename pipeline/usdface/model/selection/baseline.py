@@ -262,12 +262,22 @@ class BlendshapeEquation:
         return replace(solution, weights=solution.weights * full)
 
     def residual_mm(
-        self, positions: Positions, weights: FloatArray, *, without: tuple[int, ...] = ()
+        self,
+        positions: Positions,
+        weights: FloatArray,
+        *,
+        visible: BoolArray | None = None,
+        without: tuple[int, ...] = (),
     ) -> FloatArray:
-        """Return the RMS residual of the markers, but some, for given weights: (frames,)."""
-        motion = self.motion(positions)
-        away = np.delete(motion - self._moved(weights), [*self.unplaced, *without], axis=1)
-        return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
+        """Return the RMS residual of the visible markers, but some, for given weights: (frames,).
+
+        0 where no marker is visible.
+        """
+        counted = np.ones(positions.shape[:2], np.bool_) if visible is None else visible.copy()
+        counted[:, [*self.unplaced, *without]] = False
+        squared = ((self.motion(positions) - self._moved(weights)) ** 2).sum(axis=2)
+        total = np.where(counted, squared, 0.0).sum(axis=1)
+        return np.asarray(np.sqrt(total / np.maximum(counted.sum(axis=1), 1)))
 
     def _moved(self, weights: FloatArray) -> FloatArray:
         """Return displacements of the virtual markers, including in-betweens."""
@@ -386,7 +396,7 @@ def _turn_skin(
 
 
 def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolArray) -> float:
-    """Return the RMS residual of a solve without costs of shapes."""
+    """Return the RMS residual of a solve, of the visible markers that it uses."""
     away = equation._solve(positions, visible, equation.ranges.copy()).residual_mm[
         :, equation.trust > 0
     ]

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, sample_frames
-from usdface.core.assets import Markers, Rig
+from usdface.core.arrays import sample_frames
+from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
@@ -62,9 +62,11 @@ def write_baseline(
         for block in blocks:
             rows = range(max(first, block.start), min(last + 1, block.stop))
             markers = read_markers(take, rows.start, rows.stop - 1)
-            weights = _solve(equation, markers, unlimited=spec.unlimited)
+            seen = markers.usable
+            solve = equation.solve_published if spec.unlimited else equation.propose
+            weights = solve(markers.positions, visible=seen)
             writer.append(weights)
-            squares.append(equation.residual_mm(markers.positions, weights) ** 2)
+            squares.append(equation.residual_mm(markers.positions, weights, visible=seen) ** 2)
             low, high = rig.ranges.T
             outside += int(np.count_nonzero((weights < low) | (weights > high)))
             progress((rows.stop - first) / (last - first + 1), f"solved to frame {rows.stop - 1}")
@@ -92,11 +94,6 @@ def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
     if spec.placement is not None:
         placement = read_placement_of(spec.placement, rig, performer.labels, performer.neutral)
     return placed_equation(placement, rig, Deformer(rig), performer)
-
-
-def _solve(equation: BlendshapeEquation, markers: Markers, *, unlimited: bool) -> FloatArray:
-    solve = equation.solve_published if unlimited else equation.propose
-    return solve(markers.positions, visible=markers.usable)
 
 
 def _notes(spec: MapSpec, equation: BlendshapeEquation, rig: Rig, outside: float) -> list[str]:
