@@ -151,3 +151,15 @@ def test_rigid_markers_on_a_line_do_not_tell_how_the_head_is_turned() -> None:
     )
     with pytest.raises(InputError, match="m00, m01, m02, m03, lie on a line"):
         align_markers(mapping, line, rate=60.0)
+
+
+def test_places_where_a_rigid_marker_was_last_seen_do_not_count() -> None:
+    mapping = face_of_mapping(trained())
+    frames, usable = mapping.frames.copy(), mapping.usable.copy()
+    frames[: 3 * len(frames) // 5, :3] += [0.0, 6.0, 0.0]
+    usable[: 3 * len(frames) // 5, :3] = False
+    lost = replace(mapping, frames=frames, usable=usable)
+    short = synthetic_face(frames=300)  # too short for an offset, which would correct the space
+    space = find_head_space(lost, markers_of(short), rate=60.0)
+    np.testing.assert_allclose(space.rotation, np.eye(3), atol=1e-3)
+    np.testing.assert_allclose(space.shift, 0.0, atol=0.05)

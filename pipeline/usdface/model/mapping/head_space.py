@@ -211,22 +211,21 @@ def _rigid_transform(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rotation and shift of the take's rigid markers onto the performer's."""
     # Medians over whole takes, as a single neutral frame is noisy.
-    rest = np.median(face.frames, axis=0)
-    names = [
-        name
-        for name in face.rigid
-        if name in face.marker_names and visible[:, face.marker_names.index(name)].any()
+    slots = [
+        i
+        for i, name in enumerate(face.marker_names)
+        if name in face.rigid and visible[:, i].any() and face.usable[:, i].any()
     ]
-    if len(names) < MINIMUM_RIGID:
+    if len(slots) < MINIMUM_RIGID:
         raise InputError(
-            f"the take has {len(names)} of the mapping's {len(face.rigid)} rigid markers, at "
+            f"the take has {len(slots)} of the mapping's {len(face.rigid)} rigid markers, at "
             f"least {MINIMUM_RIGID} are needed to find its head space; name them in the take"
         )
-    slots = [face.marker_names.index(name) for name in names]
-    median = np.array(
-        [np.median(positions[visible[:, i], i].astype(np.float64), axis=0) for i in slots]
+    names = [face.marker_names[i] for i in slots]
+    target, median = (
+        np.array([np.median(points[seen[:, i], i].astype(np.float64), axis=0) for i in slots])
+        for points, seen in ((face.frames, face.usable), (positions, visible))
     )
-    target = rest[slots]
     breadth = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
     if breadth[1] <= COLLINEAR_RATIO * breadth[0]:
         raise InputError(
