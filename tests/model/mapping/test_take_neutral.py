@@ -108,3 +108,15 @@ def test_a_short_take_is_not_searched() -> None:
     short = performance(1, frames=300) + GLUE
     assert np.isnan(compare(short).reapplied_share)
     assert not replace(compare(short), reapplied_share=float("nan")).is_reapplied
+
+
+def test_an_offset_is_as_large_as_that_of_the_markers_that_the_take_shows() -> None:
+    other = performance(1) + GLUE
+    shown = seen(other)
+    shown[:, 10:] = False
+    found = compare_neutral(
+        FACE, other, shown, frames=np.arange(len(other)), stated_frame=0, rate=60.0
+    )
+    length = np.linalg.norm(found.offset, axis=1)
+    assert not length[10:].any()
+    assert found.offset_mm == pytest.approx(np.sqrt((length[:10] ** 2).mean()))

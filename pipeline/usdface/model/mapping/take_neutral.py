@@ -59,6 +59,8 @@ class TakeNeutral:
     marker_names: tuple[str, ...]
     offset: FloatArray
     """(markers, 3): the take's neutral face minus the performer's; it is subtracted [mm]."""
+    offset_mm: float = 0.0
+    """Root mean square of the offset over the markers that the take shows [mm]."""
     frame: int = 0
     stated_frame: int = 0
     """`frame`, `stated_frame`: The frame nearest to the performer's neutral face, and the one that
@@ -70,11 +72,6 @@ class TakeNeutral:
     reapplied_share: float = float("nan")
     """Share of neighbouring pairs whose ranges of distance are disjoint from the performer's; NaN
     if not measured, as in takes of less than ten seconds."""
-
-    @property
-    def offset_mm(self) -> float:
-        """Root mean square of the offset over markers [mm]."""
-        return float(np.sqrt((self.offset**2).sum(axis=1).mean()))
 
     @property
     def is_reapplied(self) -> bool:
@@ -169,11 +166,13 @@ def compare_neutral(
     same_session = bool(session) and session == face.session
     other_session = bool(session and face.session) and not same_session
     _check_labels(face.marker_names, face.neutral, positions, usable)
+    seen = np.asarray(usable.any(axis=0))
     if not same_session and not (performer and performer == face.performer):
-        _check_performer(face.neutral, offset, np.asarray(usable.any(axis=0)))
+        _check_performer(face.neutral, offset, seen)
     is_long = np.ptp(frames) >= SHORTEST_COMPARED_SECONDS * rate
-    if np.sqrt((offset**2).sum(axis=1).mean()) < MIN_OFFSET_MM or not (is_long or other_session):
-        offset = np.zeros_like(offset)
+    offset_mm = float(np.sqrt((offset[seen] ** 2).sum(axis=1).mean()))
+    if offset_mm < MIN_OFFSET_MM or not (is_long or other_session):
+        offset, offset_mm = np.zeros_like(offset), 0.0
     share = float("nan")
     if is_long and not same_session:
         share = compare_neighbours(face.frames, face.usable, positions, usable)
@@ -183,6 +182,7 @@ def compare_neutral(
     return TakeNeutral(
         face.marker_names,
         offset,
+        offset_mm,
         int(frames[row]),
         stated_frame,
         float(away_mm[row]),
