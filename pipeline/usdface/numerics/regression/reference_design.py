@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import ROUNDING_SHARE, BoolArray, FloatArray, IntArray, first_largest
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, first_largest
 
 KEY_VARIANCE = 1e-2
 """Variance of a tuned weight around the true one; the kernel's is of the order of 10."""
@@ -100,9 +100,6 @@ def predict_from(
     precise = kernel(known, known) + KEY_VARIANCE * np.eye(len(known))
     return np.asarray(mean + kernel(rows, known) @ np.linalg.solve(precise, values - mean))
 
-
-_BATCH_FRAMES = 512
-"""Frames whose variance is computed at a time by `design_gp_variance`."""
 
 _FIRST_INFORMATION = 1e-3
 """Prior information, which only breaks ties among the first frames."""
@@ -219,9 +216,8 @@ def design_gp_variance(
 ) -> Design:
     """Choose frames by the largest posterior variance of a Gaussian process.
 
-    The covariance is `DesignKernel.for_rows`. Variances do not increase as frames are added, so
-    previous values are upper bounds, and only frames whose bound is large enough are evaluated. The
-    result equals pivoted Cholesky factorisation.
+    The covariance is `DesignKernel.for_rows`; rows of its pivoted Cholesky factor are the variance
+    that each chosen frame explains.
 
     Parameters
     ----------
@@ -232,30 +228,23 @@ def design_gp_variance(
 
     References
     ----------
-    Krause, Singh and Guestrin (2008), JMLR 9, 235-284; Minoux (1978) for the lazy evaluation.
+    Krause, Singh and Guestrin (2008), JMLR 9, 235-284.
     """
-    from scipy.linalg import solve_triangular  # imported late: mapping needs none
-
     free, start = _open_rows(features, count, already)
     kernel = DesignKernel.for_rows(features)
-    bound = kernel.diagonal(features)
-    rows = np.empty((len(start) + count, features.shape[1]))
-    factor = np.zeros((len(rows), len(rows)))
+    variance = kernel.diagonal(features)
+    factor = np.empty((len(start) + count, len(features)))
     chosen, gain = [], []
-    for turn in range(len(start) + count):
-        seen, lower = rows[:turn], factor[:turn, :turn]
-        if turn < len(start):
-            pick = int(start[turn])
-        else:
-            pick = _lazy_best(features, bound, free, kernel, seen, lower)
+    for turn, row in enumerate(factor):
+        pick = int(start[turn]) if turn < len(start) else _best(variance, free)
+        if turn >= len(start):
             chosen.append(pick)
-            gain.append(float(bound[pick]))
+            gain.append(float(variance[pick]))
         free[pick] = False
-        rows[turn] = features[pick]
-        row = solve_triangular(lower, kernel(seen, features[pick : pick + 1])[:, 0], lower=True)
-        variance = float(kernel.diagonal(features[pick : pick + 1])[0]) + noise
-        factor[turn, :turn] = row
-        factor[turn, turn] = np.sqrt(max(variance - float(row @ row), noise))
+        row[:] = kernel(features[pick : pick + 1], features)[0]
+        row -= factor[:turn, pick] @ factor[:turn]
+        row /= np.sqrt(max(float(variance[pick]), 0.0) + noise)
+        variance -= row**2
     return _design(chosen, gain)
 
 
@@ -287,40 +276,6 @@ def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
         energy[best] = 0.0
         chosen.append(best)
     return np.array(chosen, np.int64)
-
-
-def _lazy_best(
-    features: FloatArray,
-    bound: FloatArray,
-    free: BoolArray,
-    kernel: DesignKernel,
-    seen: FloatArray,
-    lower: FloatArray,
-) -> int:
-    """Return the index of the largest variance; updates the bounds that are evaluated."""
-    from scipy.linalg import solve_triangular  # imported late: mapping needs none
-
-    fresh = np.zeros(len(features), dtype=bool)
-    best, best_value = -1, -np.inf
-    while True:
-        tie = ROUNDING_SHARE * abs(best_value) if best >= 0 else 0.0
-        open_rows = np.flatnonzero(free & ~fresh & (bound >= best_value - tie))
-        if not len(open_rows):
-            return best
-        if len(open_rows) > _BATCH_FRAMES:
-            top = np.argpartition(bound[open_rows], len(open_rows) - _BATCH_FRAMES)[-_BATCH_FRAMES:]
-            open_rows = np.sort(open_rows[top])
-        rows = features[open_rows]
-        value = kernel.diagonal(rows)
-        if len(seen):
-            shared = solve_triangular(lower, kernel(seen, rows), lower=True, check_finite=False)
-            value -= np.einsum("ij,ij->j", shared, shared)
-        bound[open_rows] = value
-        fresh[open_rows] = True
-        top_value = float(value.max())
-        pick = int(open_rows[first_largest(value)])
-        if top_value > best_value + tie or (top_value >= best_value - tie and pick < best):
-            best, best_value = pick, top_value
 
 
 def _best(score: FloatArray, free: BoolArray) -> int:
