@@ -3,17 +3,13 @@
 The paper sums distances over frames and channels, so that its threshold of 1.0 depends on the
 length and the rig. Here the threshold applies to the mean over frames of the root mean square
 difference over channels, in the unit of a weight.
-
-By the triangle inequality a sum of distances is at least the norm of the sum of differences.
-Cumulative sums give this lower bound for all starts, for the whole sequence and then for its parts,
-and exclude most of a long motion.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, distances
+from usdface.core.arrays import FloatArray, IntArray, distances, frame_blocks
 
 PAPER_DELTA = 1.0
 """Threshold of eq. 10 in the paper, for its source of 33 shapes and its sequence."""
@@ -21,12 +17,8 @@ PAPER_DELTA = 1.0
 _MATCH_SHARE = 0.5
 """[of `mean_face_distance`] Default threshold."""
 
-_PART_COUNTS = (1, 4, 16)
-"""Numbers of parts of a sequence, pass by pass."""
-_BLOCK_STARTS = 1 << 15
-"""Starts per block, which bounds the memory."""
-_ROUNDING_SLACK = 1e-9
-"""Relative, far above the rounding of cumulative sums: no match is excluded."""
+_BLOCK_STARTS = 1 << 13
+"""Starts compared at a time: their rows fit in the cache."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +66,9 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
         raise ValueError(f"a sequence of {len(sequence)} frames in a motion of {len(motion)}")
     if not threshold >= 0:
         raise ValueError(f"the threshold must be at least 0, got {threshold}")
-    limit = threshold * len(sequence) * np.sqrt(sequence.shape[1])
-    count = len(motion) - len(sequence) + 1
-    starts, found = [], []
-    for first in range(0, count, _BLOCK_STARTS):
-        stop = min(first + _BLOCK_STARTS, count)
-        part = motion[first : stop + len(sequence) - 1]
-        candidates = _bounded_starts(part, sequence, limit)
-        near = sequence_distances(part, sequence, candidates)
-        starts.append(candidates[near <= threshold] + first)
-        found.append(near[near <= threshold])
-    return Matches(np.concatenate(starts), np.concatenate(found), threshold)
+    distances = _all_distances(motion, sequence)
+    starts = np.flatnonzero(distances <= threshold)
+    return Matches(starts, distances[starts], threshold)
 
 
 def find_sequence(
@@ -129,11 +113,9 @@ def find_published(motion: FloatArray, sequence: FloatArray, *, delta: float) ->
 
 def best_match(motion: FloatArray, sequence: FloatArray) -> Matches:
     """Return the start with the smallest distance, whatever that is."""
-    sample = np.arange(0, len(motion) - len(sequence) + 1, max(len(sequence) // 8, 1))
-    bound = float(sequence_distances(motion, sequence, sample).min())
-    matches = starts_within(motion, sequence, threshold=bound)
-    best = int(matches.distances.argmin())
-    return Matches(matches.starts[[best]], matches.distances[[best]], bound)
+    distances = _all_distances(motion, sequence)
+    best = distances.argmin(axis=0, keepdims=True)
+    return Matches(best, distances[best], float(distances[best[0]]))
 
 
 def merge_starts(starts: IntArray, length: int) -> IntArray:
@@ -160,19 +142,8 @@ def _drop_overlapping(matches: Matches, length: int) -> Matches:
     return Matches(matches.starts[order], matches.distances[order], matches.threshold)
 
 
-def _bounded_starts(motion: FloatArray, sequence: FloatArray, limit: float) -> IntArray:
-    """Return the starts whose lower bounds, by sums over parts of the sequence, meet the limit."""
-    sums = np.concatenate([np.zeros((1, motion.shape[1])), np.cumsum(motion, axis=0)])
-    starts: IntArray = np.arange(len(motion) - len(sequence) + 1)
-    slack = _ROUNDING_SLACK * (1.0 + float(np.abs(sums).max()))
-    for parts in _PART_COUNTS:
-        edges = np.unique(np.linspace(0, len(sequence), min(parts, len(sequence)) + 1).astype(int))
-        bound = np.zeros(len(starts))
-        for first, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            if parts == 1:  # all starts: slices, not copies
-                part_sum = sums[stop : stop + len(starts)] - sums[first : first + len(starts)]
-            else:
-                part_sum = sums[starts + stop] - sums[starts + first]
-            bound += distances(part_sum, sequence[first:stop].sum(axis=0))
-        starts = starts[bound <= limit + slack]
-    return starts
+def _all_distances(motion: FloatArray, sequence: FloatArray) -> FloatArray:
+    """Return the distance at every start: (frames - m + 1,)."""
+    starts = np.arange(len(motion) - len(sequence) + 1)
+    blocks = frame_blocks(len(starts), frames=_BLOCK_STARTS)
+    return np.concatenate([sequence_distances(motion, sequence, starts[each]) for each in blocks])
