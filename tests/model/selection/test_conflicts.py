@@ -79,3 +79,13 @@ def test_a_conflict_over_a_shape_that_no_other_pair_uses_is_of_a_size() -> None:
 
 def test_few_pairs_tell_nothing() -> None:
     assert find_reference_conflicts(pairs_of_a_face(4)) == []
+
+
+def test_a_shape_of_large_weights_does_not_hide_the_others_of_its_region() -> None:
+    references = with_twin(pairs_of_a_face(), "jawOpen", 1.0)
+    references = replace(references, shape_names=(*SHAPES[:3], "jawForward"))
+    (found,) = find_reference_conflicts(references)
+    (scaled,) = find_reference_conflicts(
+        replace(references, weights=references.weights * [1.0, 1.0, 1.0, 10.0])
+    )
+    assert (scaled.first, scaled.second, scaled.shape) == (found.first, found.second, "jawOpen")

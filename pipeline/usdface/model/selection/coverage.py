@@ -53,7 +53,8 @@ class ReferenceConflict:
 def find_reference_conflicts(references: References) -> list[ReferenceConflict]:
     """Return pairs whose weights differ far more than their markers, in descending order.
 
-    Regions are compared separately. Distances are relative to the median between pairs.
+    Regions are compared separately. Distances are relative to the median between pairs. Weights
+    of a shape that exceed 1 are relative to its largest one.
     """
     pairs, shapes = references.weights.shape
     if pairs < _FEWEST_PAIRS:
@@ -61,19 +62,21 @@ def find_reference_conflicts(references: References) -> list[ReferenceConflict]:
     packed = references.markers.reshape(pairs, -1)
     motion = references.motion or motion_from_pca(fit_pca(packed), packed)
     coordinates = (packed - motion.mean) @ motion.components.T
-    line = fit_linear_ridge(coordinates, references.weights)
+    weights = references.weights / np.maximum(np.abs(references.weights).max(axis=0), 1.0)
+    line = fit_linear_ridge(coordinates, weights)
     sample = (motion.sample - line.mean) @ line.coefficients + line.intercept
-    space = selection_space(motion, np.clip(sample, 0, 1), references.shape_names)
+    shown = np.clip(sample, np.minimum(weights.min(axis=0), 0), 1)
+    space = selection_space(motion, shown, references.shape_names)
     features = space.features(coordinates)
     by_region = shapes_by_region(references.shape_names)
     worst: dict[tuple[int, int], ReferenceConflict] = {}
     for region, (a, b) in zip(space.regions, space.columns, strict=True):
         columns = by_region.get(region, np.arange(shapes))
         near = relative_distances(features[:, a:b])
-        far = relative_distances(references.weights[:, columns])
+        far = relative_distances(weights[:, columns])
         conflicting = (near < _NEAR_MARKERS_SHARE) & (far > FAR_WEIGHTS_SHARE)
         for i, j in np.argwhere(np.triu(conflicting, 1)).tolist():
-            difference = np.abs(references.weights[i, columns] - references.weights[j, columns])
+            difference = np.abs(weights[i, columns] - weights[j, columns])
             times = float(far[i, j] / max(near[i, j], 1e-3))
             known = worst.get((i, j))
             if difference.max() < LEAST_STEP or (known is not None and known.times >= times):
