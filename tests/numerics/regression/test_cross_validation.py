@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from usdface.numerics.regression.cross_validation import (
     FEWEST_TRAINING_ROWS,
     blocked_folds,
-    predict_out_of_fold,
     surface_rms_mm,
     weight_rmse,
 )
@@ -60,18 +59,6 @@ def test_folds_are_nearly_equal_in_size() -> None:
     frames = np.arange(50) * 100
     sizes = [len(fold.test) for fold in blocked_folds(frames, ["a"] * 50, folds=5)]
     assert sizes == [10] * 5
-
-
-def test_out_of_fold_predictions_come_from_the_other_rows() -> None:
-    values = np.arange(12.0)[:, None]
-    folds = blocked_folds(np.arange(12) * 100, ["a"] * 12, folds=3)
-    means = predict_out_of_fold(
-        lambda train, test: np.repeat(values[train].mean(axis=0)[None], len(test), axis=0),
-        folds,
-        width=1,
-    )
-    for fold in folds:
-        np.testing.assert_allclose(means[fold.test], values[fold.train].mean())
 
 
 def test_surface_error_equals_moving_every_point() -> None:

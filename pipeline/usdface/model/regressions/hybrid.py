@@ -1,13 +1,12 @@
 """The published hybrid: multiquadric and kernel CCA blended; eq. 9 of Song et al. (2011).
 
 Song, Choi, Seol and Noh, *Characteristic Facial Retargeting*, section 4.3. In the paper an artist
-keys the blend weight alpha of the multiquadric over time. In a mapping it is constant and chosen by
-cross-validation; in a retargeting it is a candidate setting.
+keys the blend weight alpha of the multiquadric over time. Here it is constant, a candidate setting.
 """
 
 import numpy as np
 
-from usdface.core.arrays import Arrays, FloatArray, IntArray
+from usdface.core.arrays import Arrays, FloatArray
 from usdface.model.regressions.base import Fitted, Pairs, Predictor, Regression, Settings
 from usdface.model.regressions.kernel_cca import (
     RETARGET_KERNELS,
@@ -16,28 +15,23 @@ from usdface.model.regressions.kernel_cca import (
     prepare_expansion,
 )
 from usdface.model.regressions.multiquadric import fit_network, prepare_network
-from usdface.numerics.regression.cross_validation import Fold, predict_out_of_fold
 
-_FOLD_COUNT = 5
-_MIN_PAIRS = 8
-"""Fewer pairs are too few for cross-validation; alpha is then .5."""
-
-_ALPHAS = (0.25, 0.5, 0.75)
-"""Candidates of alpha in retargeting."""
+_ALPHAS = (0.5, 0.25, 0.75)
+"""Candidates of alpha; the first for too few pairs to compare."""
 
 
 def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
     return tuple(
-        space | {"lines": "published", "kappa": 1e-4, "components": components}
+        space | {"lines": "published", "kappa": 1e-4, "components": components, "alpha": alpha}
         for space in mapping_spaces(pairs, dimensions)
         for components in (15, 30)
+        for alpha in _ALPHAS
     )
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     arrays = fit_network(pairs, settings).arrays | fit_expansion(pairs, settings).arrays
-    alpha = settings["alpha"] if "alpha" in settings else _choose_alpha(pairs, settings)
-    return Fitted(arrays, settings | {"alpha": alpha})
+    return Fitted(arrays, settings)
 
 
 def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
@@ -53,35 +47,6 @@ def predict_blended(
     regression = prepare_expansion(arrays, settings)(inputs)
     blended: FloatArray = alpha[:, None] * network + (1 - alpha[:, None]) * regression
     return blended
-
-
-def _choose_alpha(pairs: Pairs, settings: Settings) -> float:
-    """Return the alpha of least surface error in cross-validation."""
-    count = len(pairs.outputs)
-    if count < _MIN_PAIRS:
-        return 0.5
-    label = np.arange(count) % _FOLD_COUNT  # interleaved, as the pairs' times are unknown
-    folds = [
-        Fold(np.flatnonzero(label != k), np.flatnonzero(label == k)) for k in range(_FOLD_COUNT)
-    ]
-
-    def by_network(train: IntArray, test: IntArray) -> FloatArray:
-        fitted = fit_network(pairs.rows(train), settings)
-        return prepare_network(fitted.arrays, settings)(pairs.inputs[test])
-
-    def by_regression(train: IntArray, test: IntArray) -> FloatArray:
-        fitted = fit_expansion(pairs.rows(train), settings)
-        return prepare_expansion(fitted.arrays, settings)(pairs.inputs[test])
-
-    width = pairs.outputs.shape[1]
-    network = predict_out_of_fold(by_network, folds, width=width) - pairs.outputs
-    regression = predict_out_of_fold(by_regression, folds, width=width) - pairs.outputs
-    difference = network - regression
-    # Minimum of |regression + alpha difference|^2, a parabola in alpha, in the surface's metric.
-    gram = pairs.face.gram
-    slope = -float(np.einsum("ns,st,nt->", regression, gram, difference))
-    curvature = float(np.einsum("ns,st,nt->", difference, gram, difference))
-    return float(np.clip(slope / curvature, 0.0, 1.0)) if curvature > 0 else 0.5
 
 
 METHOD = Regression(

@@ -4,7 +4,7 @@ Neighbouring reference frames are nearly the same face: split between training a
 would bias the error. So folds consist of runs of neighbours.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,26 +63,6 @@ def blocked_folds(
     else:
         label[order] = np.arange(len(numbers)) * folds // len(numbers)
     return tuple(_fold(label == k, numbers, codes, margin) for k in range(folds))
-
-
-def predict_out_of_fold(
-    fit_predict: Callable[[IntArray, IntArray], FloatArray], folds: Sequence[Fold], *, width: int
-) -> FloatArray:
-    """Return held-out predictions of all rows.
-
-    Parameters
-    ----------
-    fit_predict : callable
-        Maps rows to train on and rows to test on to predictions (test rows, width).
-    folds : sequence of Fold
-        Every row is tested once.
-    width : int
-        Columns of the prediction.
-    """
-    out: FloatArray = np.full((sum(len(fold.test) for fold in folds), width), np.nan)
-    for fold in folds:
-        out[fold.test] = fit_predict(fold.train, fold.test)
-    return out
 
 
 def weight_rmse(errors: FloatArray) -> float:
