@@ -190,19 +190,11 @@ def _in_order(
 ) -> tuple[Float32Array, BoolArray]:
     """Return positions and visibility in the mapping's order: (frames, markers[, 3])."""
     frames = len(markers.positions)
-    if len(slots) == count:  # no marker is missing
-        positions = np.take(markers.positions, columns, axis=1).astype(np.float32, copy=False)
-        visible = np.take(markers.visible, columns, axis=1)
-        visible |= np.take(markers.confidence, columns, axis=1) > 0
-    else:
-        positions = np.zeros((frames, count, 3), dtype=np.float32)
-        visible = np.zeros((frames, count), dtype=bool)
-        positions[:, slots] = markers.positions[:, columns]
-        visible[:, slots] = markers.visible[:, columns] | (markers.confidence[:, columns] > 0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        has_invalid = not np.isfinite(positions.sum())  # faster than a test of every value
-    if has_invalid:
-        visible &= np.isfinite(positions).all(axis=2)
+    positions = np.zeros((frames, count, 3), dtype=np.float32)
+    visible = np.zeros((frames, count), dtype=bool)
+    positions[:, slots] = markers.positions[:, columns]
+    visible[:, slots] = markers.usable[:, columns]
+    visible &= np.isfinite(positions).all(axis=2)
     return positions, visible
 
 

@@ -5,7 +5,6 @@ Coordinates of frames with occluded markers are conditional means.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,24 +153,15 @@ def marker_coordinates(
     visible : (frames, markers) bool array, optional
         By default all are.
     """
-    frames = len(positions)
-    # In the precision of the takes, single, which halves the time. The rounding error of the mean
-    # is corrected after the product: coordinates are accurate to 1e-6 mm.
-    dtype = positions.dtype
-    mean: NDArray[Any] = motion.mean.astype(dtype)
-    rounding: FloatArray = mean - motion.mean
-    offsets: NDArray[Any] = positions.reshape(frames, -1) - mean
-    occluded = visible is not None and not visible.all()
-    if visible is not None and occluded:
-        offsets[~np.repeat(visible, 3, axis=1)] = 0.0  # also removes NaN
-    values: FloatArray = (offsets @ motion.components.T.astype(dtype)).astype(np.float64)
-    values += rounding @ motion.components.T
-    if visible is None or not occluded:
-        return values
+    offsets: FloatArray = positions.reshape(len(positions), -1) - motion.mean
+    if visible is None or visible.all():
+        return np.asarray(offsets @ motion.components.T)
+    offsets[~np.repeat(visible, 3, axis=1)] = 0.0  # also removes NaN
+    values: FloatArray = offsets @ motion.components.T
     for rows in equal_rows(visible):
         pattern = visible[rows[0]]
         if not pattern.all():
-            values[rows] = _conditional_mean(motion, offsets[rows] + rounding, pattern)
+            values[rows] = _conditional_mean(motion, offsets[rows], pattern)
     return values
 
 
