@@ -13,7 +13,6 @@ _SOLVED_FRAMES = 60
 
 _CANDIDATE_FRAMES = 24
 _SEARCHED_FRAMES = 800
-_ELIMINATION_ROUNDS = 6
 
 BETTER_SHARE = 0.75
 """Ratio of residuals, from another frame over the stated one, below which the other is neutral:
@@ -52,33 +51,15 @@ def find_better_neutral(
     solved = positions[rows[sample_frames(len(rows), _SOLVED_FRAMES)]].astype(np.float64)
     candidates = _spread(positions[searched].astype(np.float64), equation.neutral)
 
-    def squares(neutrals: FloatArray, frames: FloatArray) -> FloatArray:
-        """Return mean squared residuals: (neutrals, frames) [mm^2]."""
-        # The equation uses displacements only, so a change of neutral is a shift of positions.
-        shown = (equation.neutral - neutrals)[:, None] + frames
-        shown = shown.reshape(-1, *equation.neutral.shape)
-        away = equation.residual_mm(shown, equation.propose(shown))
-        return np.asarray(away.reshape(len(neutrals), -1) ** 2)
-
-    stated = squares(equation.neutral[None], solved)[0]
-    limit = BETTER_SHARE**2 * stated.sum()
-    left = np.zeros(len(candidates))
-    # A candidate is dropped once its partial sum exceeds the limit; the worst frames come first.
-    for part in np.array_split(np.argsort(-stated, kind="stable"), _ELIMINATION_ROUNDS):
-        alive = left < limit
-        if not alive.any():
-            return None
-        neutrals = positions[searched[candidates[alive]]].astype(np.float64)
-        left[alive] += squares(neutrals, solved[part]).sum(axis=1)
-    best = int(np.argmin(np.where(left < limit, left, np.inf)))
-    if not left[best] < limit:
+    neutrals = np.concatenate([equation.neutral[None], positions[searched[candidates]]])
+    # The equation uses displacements only, so a change of neutral is a shift of positions.
+    shown = ((equation.neutral - neutrals)[:, None] + solved).reshape(-1, *equation.neutral.shape)
+    residual = equation.residual_mm(shown, equation.propose(shown)).reshape(len(neutrals), -1)
+    stated_mm, *others_mm = np.sqrt((residual**2).mean(axis=1)).tolist()
+    best = int(np.argmin(others_mm))
+    if not others_mm[best] < BETTER_SHARE * stated_mm:
         return None
-    count = len(solved)
-    return BetterNeutral(
-        int(searched[candidates[best]]),
-        float(np.sqrt(left[best] / count)),
-        float(np.sqrt(stated.sum() / count)),
-    )
+    return BetterNeutral(int(searched[candidates[best]]), others_mm[best], stated_mm)
 
 
 def _spread(frames: FloatArray, neutral: FloatArray) -> IntArray:
