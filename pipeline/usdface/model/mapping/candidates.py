@@ -124,9 +124,9 @@ class PairFolds:
     """
 
     def __init__(self, pairs: Pairs, references: References) -> None:
-        self._parts = references.parts or references.shape_names
+        self.parts = references.parts or references.shape_names
         self._landmarks = are_image_landmarks(references.marker_names)
-        self.corrected = correct_pairs(pairs, self._parts, landmarks=self._landmarks)
+        self.corrected = correct_pairs(pairs, self.parts, landmarks=self._landmarks)
         self.pairs = self.corrected.pairs
         frames, takes, rate = references.frames, references.takes, references.rate or _DEFAULT_RATE
         self.folds = blocked_folds(frames, takes, margin=round(_NEIGHBOUR_SECONDS * rate))
@@ -140,7 +140,7 @@ class PairFolds:
         scales = replace(corrected.forward.scales, tau=corrected.key_error)
         return [
             correct_pairs(
-                original.rows(fold.train), self._parts, landmarks=self._landmarks, scales=scales
+                original.rows(fold.train), self.parts, landmarks=self._landmarks, scales=scales
             )
             for fold in self.folds
         ]

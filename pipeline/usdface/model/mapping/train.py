@@ -109,20 +109,8 @@ def train_mapping(
     divides = method == "auto" or find_method(method).solves_frames
     sides = (ShapeSides.divided if divides else ShapeSides.undivided)(ranges.astype(np.float64))
     checked = sides.references(check.references)
-    parts, gram = checked.parts or checked.shape_names, None if gram is None else sides.gram(gram)
-    skin, rest = _outer_skin(skin, rest, references)
-    motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
-    check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
-    face = Face(
-        ranges=sides.ranges,
-        gram=np.eye(len(parts)) if gram is None else _skin_gram(gram, parts),
-        motion=motion,
-        skin=None if skin is None else sides.motion(skin[: len(ranges)]),
-        lids=shapes_by_region(parts).get("lids"),
-        driven=_driven_skin(references, skin, sides),
-        rest=rest,
-        neutral=checked.neutral.astype(np.float64),
-    )
+    face = _face(references, checked, sides, gram=gram, skin=skin, rest=rest)
+    check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=face.motion)
     progress(0.0, "fitting the forward model")
     folds = PairFolds(_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
@@ -132,7 +120,7 @@ def train_mapping(
     fitted = best.method.fit(corrected.training_pairs(best.method), best.settings)
     progress(1.0, f"trained {best.method.name}")
     solver = _frame_solver(corrected, fitted, compared.out_of_fold)
-    regions, error_arrays = _uncertainty(compared, folds, parts, solver)
+    regions, error_arrays = _uncertainty(compared, folds, solver)
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
@@ -142,17 +130,41 @@ def train_mapping(
         ranges=sides.limits,
         arrays=_as_stored(
             fitted.arrays
-            | motion_arrays(motion)
+            | motion_arrays(face.motion)
             | solver.to_arrays()
             | error_arrays
             | sides.to_arrays()
         ),
         settings=fitted.settings
-        | _region_settings(checked, folds, regions, parts)
-        | _key_settings(corrected, checked, parts)
+        | _region_settings(checked, folds, regions)
+        | _key_settings(folds, checked)
         | {"limited_weights": check.limited_weights}
         | {"unobservable_shapes": int((~compared.observable).sum())},
         scores=compared.scores,
+    )
+
+
+def _face(
+    references: References,
+    checked: References,
+    sides: ShapeSides,
+    *,
+    gram: FloatArray | None,
+    skin: FloatArray | None,
+    rest: RestPlaces | None,
+) -> Face:
+    """Return the face of a training; `checked` has the columns of `sides`."""
+    skin, rest = _outer_skin(skin, rest, references)
+    parts = checked.parts or checked.shape_names
+    return Face(
+        ranges=sides.ranges,
+        gram=np.eye(len(parts)) if gram is None else _skin_gram(sides.gram(gram), parts),
+        motion=checked.motion if checked.motion is not None else motion_of_pairs(checked),
+        skin=None if skin is None else sides.motion(skin[: len(sides.limits)]),
+        lids=shapes_by_region(parts).get("lids"),
+        driven=_driven_skin(references, skin, sides),
+        rest=rest,
+        neutral=checked.neutral.astype(np.float64),
     )
 
 
@@ -193,12 +205,11 @@ def _driven_skin(
     return DrivenSkin(logic, sides, skin[len(references.shape_names) :])
 
 
-def _key_settings(
-    corrected: CorrectedPairs, references: References, parts: tuple[str, ...]
-) -> dict[str, float | str]:
+def _key_settings(folds: PairFolds, references: References) -> dict[str, float | str]:
     """Return what is known of the keys: errors, gains and contradictions by the markers, origin."""
+    corrected = folds.corrected
     gains = mean_gains(corrected.log_factor, references.authors)
-    contradicted = find_contradicted(corrected.uncorrected, parts).items()
+    contradicted = find_contradicted(corrected.uncorrected, folds.parts).items()
     return {
         "pairs": len(references.weights),
         "performer": references.performer,
@@ -241,10 +252,10 @@ def _skin_gram(gram: FloatArray, parts: tuple[str, ...]) -> FloatArray:
 
 
 def _uncertainty(
-    compared: Comparison, folds: PairFolds, parts: tuple[str, ...], solver: FrameSolver
+    compared: Comparison, folds: PairFolds, solver: FrameSolver
 ) -> tuple[tuple[str, ...], Arrays]:
     """Return the regions of the face, and the arrays of their uncertainty model."""
-    face = folds.pairs.face
+    face, parts = folds.pairs.face, folds.parts
     span = np.ptp(face.ranges, axis=1)
     points = region_points(parts, solver.forward.basis)
     regions = tuple(points)
@@ -264,13 +275,14 @@ def _uncertainty(
 
 
 def _region_settings(
-    references: References, folds: PairFolds, regions: tuple[str, ...], parts: tuple[str, ...]
+    references: References, folds: PairFolds, regions: tuple[str, ...]
 ) -> dict[str, str]:
     """Return the names of all regions, of those without markers or shapes, and of still ones.
 
     A still region is one that no reference moves: its motion in takes follows from the rig alone.
     """
-    face, shapes = folds.pairs.face, shapes_by_region(parts)
+    face, parts = folds.pairs.face, folds.parts
+    shapes = shapes_by_region(parts)
     unmarked = regions_without_markers(parts, face, references.marker_names, references.rigid)
     used = np.ptp(face.normalise(folds.pairs.outputs), axis=0)
     still = [
