@@ -9,7 +9,7 @@ from tests.model.synthetic import SHAPES, SyntheticFace, references_of, sample_s
 from usdface.core.assets import TrainedMapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
-from usdface.numerics.regression.reference_design import DesignKernel, posterior_share
+from usdface.numerics.regression.reference_design import DesignKernel, posterior_shares
 
 
 def train_on(face: SyntheticFace, rows: np.ndarray, *, still: int = 0) -> TrainedMapping:
@@ -68,7 +68,7 @@ def test_the_share_left_over_is_the_posterior_variance_of_a_gaussian_process() -
     inverse = np.linalg.inv(kernel(known, known) + 0.01 * np.eye(7))
     across = kernel(rows, known)
     posterior = np.diag(kernel(rows, rows) - across @ inverse @ across.T)
-    share = posterior_share(kernel, known, rows)
+    share = posterior_shares(kernel, known, rows)[-1]
     np.testing.assert_allclose(share, posterior / kernel.diagonal(rows), atol=1e-9)
-    scaled = posterior_share(DesignKernel.for_size(3e4), 100 * known, 100 * rows)
+    scaled = posterior_shares(DesignKernel.for_size(3e4), 100 * known, 100 * rows)[-1]
     np.testing.assert_allclose(scaled, share, atol=1e-9)  # of no unit

@@ -13,7 +13,7 @@ from usdface.numerics.regression.reference_design import (
     design_gp_variance,
     design_k_centre,
     pivoted_selection,
-    posterior_share,
+    posterior_shares,
     predict_from,
     whiten,
 )
@@ -130,8 +130,8 @@ def rows(count: int = 60) -> np.ndarray:
 def test_nothing_known_leaves_all_over_and_knowing_a_frame_leaves_its_noise() -> None:
     cloud = rows()
     kernel = DesignKernel.for_rows(cloud)
-    np.testing.assert_array_equal(posterior_share(kernel, cloud[:0], cloud), 1.0)
-    left = posterior_share(kernel, cloud[:1], cloud[:1])
+    np.testing.assert_array_equal(posterior_shares(kernel, cloud[:0], cloud)[-1], 1.0)
+    left = posterior_shares(kernel, cloud[:1], cloud[:1])[-1]
     prior = kernel.diagonal(cloud[:1])
     np.testing.assert_allclose(left, 1e-2 / (prior + 1e-2), rtol=1e-6)
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.regression.reference_design import KEY_VARIANCE, DesignKernel, posterior_share
+from usdface.numerics.regression.reference_design import DesignKernel, posterior_shares
 
 LEAST_COVERAGE = 0.75
 """Coverage from which a frame counts as covered: ``sqrt(v)`` of 1/4 or less."""
@@ -83,7 +83,7 @@ class CoverageModel:
         for column, region in enumerate(self._regions):
             if region is not None:
                 rows = displacements[:, region.markers].reshape(len(displacements), -1)
-                share = posterior_share(region.kernel, region.pairs, rows)
+                share = posterior_shares(region.kernel, region.pairs, rows)[-1]
                 coverage[:, column] = 1 - np.sqrt(share)
         return coverage
 
@@ -104,11 +104,5 @@ class CoverageModel:
             raise ValueError("no shape moves a marker")
         added = further[:, face.markers].reshape(len(further), face.pairs.shape[1])
         rows = displacements[:, face.markers].reshape(len(displacements), -1)
-        pairs = np.concatenate([face.pairs, added])
-        if not len(pairs):
-            return np.zeros(1)
-        # Row i of the Cholesky solve is the variance that reference i explains given those before.
-        factor = np.linalg.cholesky(face.kernel(pairs, pairs) + KEY_VARIANCE * np.eye(len(pairs)))
-        explained = np.cumsum(np.linalg.solve(factor, face.kernel(pairs, rows)) ** 2, axis=0)
-        share = np.maximum(1 - explained / face.kernel.diagonal(rows), 0.0)
-        return np.concatenate([[0.0], 1 - np.sqrt(share).mean(axis=1)])
+        shares = posterior_shares(face.kernel, np.concatenate([face.pairs, added]), rows)
+        return np.asarray(1 - np.sqrt(shares).mean(axis=1))

@@ -64,10 +64,10 @@ class DesignKernel:
         return np.asarray(self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial)
 
 
-def posterior_share(kernel: DesignKernel, known: FloatArray, rows: FloatArray) -> FloatArray:
+def posterior_shares(kernel: DesignKernel, known: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the posterior over the prior variance of every row, given tuned frames.
 
-    Returns (frames,) [0-1].
+    Returns (n + 1, frames) [0-1], given the first 0, 1, ... n of them.
 
     Parameters
     ----------
@@ -75,13 +75,12 @@ def posterior_share(kernel: DesignKernel, known: FloatArray, rows: FloatArray) -
         Features of the tuned frames.
     rows : (frames, d) float array
     """
-    prior = kernel.diagonal(rows)
-    if not len(known):
-        return np.ones(len(rows))
     factor = np.linalg.cholesky(kernel(known, known) + KEY_VARIANCE * np.eye(len(known)))
-    shared = np.linalg.solve(factor, kernel(known, rows))
-    explained = np.einsum("ij,ij->j", shared, shared)
-    return np.asarray(np.clip(1.0 - explained / prior, 0.0, 1.0))
+    # Row i is what frame i explains given those before it.
+    explained = np.linalg.solve(factor, kernel(known, rows)) ** 2
+    shares = np.ones((len(known) + 1, len(rows)))
+    shares[1:] -= np.cumsum(explained, axis=0) / kernel.diagonal(rows)
+    return np.clip(shares, 0.0, 1.0)
 
 
 def predict_from(
@@ -92,7 +91,7 @@ def predict_from(
     Parameters
     ----------
     kernel, known, rows
-        As for `posterior_share`.
+        As for `posterior_shares`.
     values : (n, s) float array
         Of the tuned frames.
     """
