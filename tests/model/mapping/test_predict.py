@@ -7,7 +7,6 @@ from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthet
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
-from usdface.core.rig_logic import Combination, RigLogic
 from usdface.model.mapping import uncertainty
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of, noise_variance
@@ -232,48 +231,3 @@ def test_unseen_markers_are_told_by_the_gaussian_of_the_motion_given_the_seen_on
     within = basis.T @ between + noise_variance(motion) * np.eye(seen.sum())
     offsets = (face.positions[:20].reshape(20, -1) - motion.mean)[:, seen]
     np.testing.assert_allclose(found, offsets @ np.linalg.solve(within, between.T), atol=1e-8)
-
-
-def test_shapes_that_drive_combinations_are_expected_as_references_use_them() -> None:
-    """Errors of shapes at rest would pass through in-betweens that begin at 0 four times as large.
-
-    Methods that solve frames have weighed their error: there is nothing to add.
-    """
-    face = synthetic_face()
-    weights = np.where(face.weights < 0.6, 0.0, face.weights)
-    rng = np.random.default_rng(2)
-    moved = np.einsum("fs,smc->fmc", weights, face.shapes) + rng.normal(
-        0, 1.5, face.positions.shape
-    )
-    face = replace(face, weights=weights, positions=face.neutral + moved)
-    names = tuple(f"shape{i}" for i in range(len(face.shapes)))
-    combinations = tuple(
-        Combination(f"{name}_25", (name,), weights=(0.25,), spans=((0.0, 0.5),))
-        for name in names[:3]
-    )
-    references = references_of(face, np.arange(0, len(weights), 30))
-    skin = np.concatenate([face.shapes, np.zeros((3, MARKERS, 3))])
-    logic = RigLogic(names, combinations)
-    truth = logic.evaluate(weights)[:, len(names) :]
-    for method, gain in (("ridge", 0.7), ("face_map", None)):
-        plain, driven = (
-            predict_weights(
-                train_mapping(
-                    replace(references, combinations=each),
-                    ranges=face.ranges,
-                    gram=face.gram,
-                    skin=skin[: len(names) + len(each)],
-                    method=method,
-                ),
-                face.positions,
-            ).weights
-            for each in ((), combinations)
-        )
-        np.testing.assert_allclose(driven[:, 3:], plain[:, 3:], atol=1e-6)
-        if gain is None:
-            np.testing.assert_allclose(driven, plain, atol=1e-6)
-            continue
-        lost = [
-            ((logic.evaluate(each)[:, len(names) :] - truth) ** 2).sum() for each in (plain, driven)
-        ]
-        assert lost[1] < gain * lost[0]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frame_blocks
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks
 from usdface.core.assets import Rig, SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coverage import CoverageModel
@@ -15,11 +15,10 @@ from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.rig_match import changed_shapes
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
-from usdface.model.regressions.bent_weights import bend, unbend
+from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.forward_model import ForwardModel
-from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
+from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.model.regressions.shape_sides import ShapeSides
-from usdface.numerics.regression.usage_prior import expected_weights
 
 _BLOCK_FRAMES = 1024
 """Frames per block: a block fits in the cache, which is 25 % faster than larger ones."""
@@ -86,7 +85,6 @@ class WeightPredictor:
             pairs = packed.reshape(len(packed), -1, 3).astype(np.float64)
             self._coverage = CoverageModel(self._solver.forward.basis, pairs, self._region_markers)
             self._method = find_method(mapping.method)
-            self._driving = self._find_driving()
             with np.errstate(all="ignore"):  # values that are not finite are refused below
                 self._prior = self._method.prepare_prior(
                     mapping.arrays,
@@ -182,41 +180,12 @@ class WeightPredictor:
             moved, seen, mean = displacements[rows], visible[rows], prior_mean[rows]
             error = None if deviation is None else deviation[rows]
             known = None if confidence is None else confidence[rows]
-            if len(self._driving):
-                solution = solver.solve(moved, seen, mean, bounded=False)
-                mean[:, self._driving] = self._expected(solution)
             solution = solver.solve(moved, seen, mean, error, bounded=solves, confidence=known)
             solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
             weights[rows] = low + (high - low) * solved
             residual[rows] = solution.residual.reshape(-1, *residual.shape[1:])
             uncertainty[rows] = self._uncertainty.deviations(solver, solution, seen)
         return weights, uncertainty, residual
-
-    def _find_driving(self) -> IntArray:
-        """Return the shapes that drive combinations, whose weights are replaced by expected ones.
-
-        Empty for methods that solve frames, whose solve includes the error of the prior, and for
-        rigs of many shapes. In-betweens of one shape (one part, no span) are not combinations.
-        """
-        driven = self._solver.forward.driven
-        if driven is None or self._method.solves_frames or not self._solver.has_jacobians:
-            return np.zeros(0, np.int64)
-        combinations = [
-            each for each in driven.logic.combinations if len(each.parts) > 1 or each.spans
-        ]
-        parts = {part for each in combinations for part in each.parts}
-        names = driven.logic.shapes
-        return np.flatnonzero([names[shape] in parts for shape in self._sides.shapes])
-
-    def _expected(self, solution: FrameSolution) -> FloatArray:
-        """Return the posterior mean of the bent weights of `_driving`, with the keys as prior."""
-        curve = self._solver.forward.scales.curve
-        variance = np.einsum("fss->fs", solution.covariance(curve))[:, self._driving]
-        keys, solved = (
-            unbend(each[:, self._driving], curve)
-            for each in (self._solver.forward.targets, solution.targets)
-        )
-        return bend(expected_weights(solved, np.sqrt(variance), keys), curve)
 
 
 def predict_weights(
