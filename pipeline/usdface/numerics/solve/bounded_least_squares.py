@@ -3,8 +3,8 @@
 Each frame is a small convex programme: minimise ``0.5 x'Hx - l'x`` with ``lower <= x <= upper``.
 `solve_bounded_least_squares` has one matrix for all frames. Alternating directions find nearly the
 right active set, block pivoting makes it exact, and an active-set method finishes the few frames on
-which pivoting cycles. `minimise_within_bounds`, which maps performances, has a matrix for each
-frame, and takes accelerated projected gradient steps alone.
+which pivoting makes no progress. `minimise_within_bounds`, which maps performances, has a matrix
+for each frame, and takes accelerated projected gradient steps alone.
 """
 
 import math
@@ -23,9 +23,8 @@ _ALTERNATING_STEPS = 30
 _OVER_RELAXATION = 1.8
 _BLOCK_FRAMES = 32
 """Frames per thread and task; rounding depends on it, so it is independent of the cores."""
-_MOST_PIVOT_STEPS = 120
 _PATIENCE_ROUNDS = 3
-"""Of pivoting without progress, before variables change one at a time."""
+"""Of pivoting without progress, before the active-set method takes over."""
 _ACTIVE_SET_STEPS_PER_VARIABLE = 5
 _ACTIVE_SET_TOLERANCE = 1e-10
 """[of the largest linear term] Violation of optimality above which the active-set method runs."""
@@ -65,7 +64,7 @@ def solve_bounded_least_squares(
     References
     ----------
     Júdice and Pires (1994), Computers & Operations Research 21(5), 587-596: block pivoting.
-    Stark and Parker (1995), Computational Statistics 10, 129-141: bounds one at a time.
+    Stark and Parker (1995), Computational Statistics 10, 129-141: the active set.
     Boyd et al. (2011), Foundations and Trends in Machine Learning 3(1), 1-122: alternations.
     """
     A, b = np.asarray(matrix, float), np.asarray(targets, float)
@@ -196,7 +195,7 @@ def _exchange_blocks(
     fewest, patience = np.full(len(b), b.shape[1] + 1), np.full(len(b), _PATIENCE_ROUNDS)
     solve = H.solver()
     slack = 1e-11 * (1 + np.abs(b).max(axis=1, initial=0.0))
-    for _ in range(_MOST_PIVOT_STEPS):
+    while len(todo):
         at = side[todo]
         bound = np.where(at < 0, lo, np.where(at > 0, hi, 0.0))
         value = solve(todo, b[todo], bound, at == 0)
@@ -204,21 +203,15 @@ def _exchange_blocks(
         room = slack[todo, None]
         low, high = (at == 0) & (value < lo - room), (at == 0) & (value > hi + room)
         free = ((at < 0) & (gradient < -room)) | ((at > 0) & (gradient > room))
-        free &= lo < hi
-        wrong = low | high | free
+        wrong = low | high | (free & (lo < hi))
         count = wrong.sum(axis=1)
         better = count < fewest[todo]
         fewest[todo] = np.where(better, count, fewest[todo])
         patience[todo] = np.where(better, _PATIENCE_ROUNDS, patience[todo] - 1)
-        last = wrong.shape[1] - 1 - wrong[:, ::-1].argmax(axis=1)
-        only = np.arange(wrong.shape[1]) == last[:, None]  # Murty's rule, against cycles
-        change = wrong & (only | (patience[todo] >= 0)[:, None])
-        side[todo] = np.where(change, np.where(low, -1, np.where(high, 1, 0)), at)
+        side[todo] = np.where(wrong, np.where(low, -1, np.where(high, 1, 0)), at)
         done = count == 0
         out[todo[done]] = np.clip(value[done], lo, hi)
-        todo = todo[~done]
-        if not len(todo):
-            break
+        todo = todo[~done & (patience[todo] > 0)]
     return out
 
 
