@@ -28,8 +28,8 @@ CONTACT_MM = 0.7
 few times the noise of a marker."""
 
 LEAST_OPENING = 0.05
-"""Share of the largest opening below which a shape is not used: it would reach its limit without
-closing the mouth."""
+"""Share of the largest opening below which shapes alone are not changed: they would reach their
+limits without closing the mouth."""
 
 TOUCHING_MM = 0.2
 MAX_ROUNDS = 8

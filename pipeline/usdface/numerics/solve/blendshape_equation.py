@@ -67,11 +67,12 @@ def solve_weights(
     Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w|^2
     + 2 sum_i cost_i |w_i|``, in mm^2, where ``cost_i = noise^2 size_i / (seen_i + noise)``.
     ``size_i`` is the displacement of its markers by shape i, ``seen_i`` their displacement in the
-    frame: root mean squares over the markers, weighted by the energy ``|delta_im|^2``. This is the
-    maximum a posteriori solution for markers with errors of ``noise`` and exponentially distributed
-    weights, whose mean moves a shape's markers as far as they have moved. So a shape whose markers
-    are still is not used for motion elsewhere, and the cost of one whose markers move far is near
-    0.
+    frame: root mean squares over the markers, weighted by the energy ``|delta_im|^2``. If ``noise``
+    were the error per axis, this would be the maximum a posteriori solution for exponentially
+    distributed weights, whose mean moves a shape's markers as far as they have moved; a distance
+    in space, as here, weights the cost up to three times as much (decision 18). So a shape whose
+    markers are still is not used for motion elsewhere, and the cost of one whose markers move far
+    is near 0.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def solve_weights(
     keys : MarkerKeys, optional
         In-betweens: the equation is linearised again about each solution.
     noise_mm : float, optional
-        Expected residual of a marker under the true weights; 0 for no cost.
+        Expected residual of a marker under the true weights, a distance in space; 0 for no cost.
     tied : sequence of sequences of int, optional
         Shapes that share one weight.
     """
