@@ -9,7 +9,7 @@ from usdface.numerics.registration.landmark_matching import (
     match_landmarks,
     refine_fit,
 )
-from usdface.numerics.registration.plane_fit import pitch_rotation
+from usdface.numerics.registration.plane_fit import fit_in_plane, pitch_rotation
 
 PLACES = np.array(
     [
@@ -62,3 +62,10 @@ def test_a_cloud_of_other_size_and_pitch_finds_its_landmarks() -> None:
     away = Alignment(np.ones(3), np.eye(3), np.array([3.0, 6.0, 2.0]))
     found = refine_fit(cloud, face(target), away, centre_x=3.0)
     np.testing.assert_allclose(found.apply(cloud), target, atol=2.5)
+
+
+def test_targets_on_the_wrong_side_do_not_mirror_the_cloud() -> None:
+    rng = np.random.default_rng(0)
+    cloud = rng.normal(0, 40, (12, 3))
+    fit = fit_in_plane(cloud, cloud * [-1, 1, 1], np.full(12, 5.0), centre_x=0.0)
+    assert (fit.scale > 0).all()

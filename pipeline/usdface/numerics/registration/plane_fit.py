@@ -8,6 +8,9 @@ from usdface.numerics.registration.cloud_alignment import Alignment
 _AXES_HELD = 0.35
 """[of the cloud's energy] Ridge of each axis' scale towards the common scale."""
 
+_LARGEST_RATIO = 2.0
+"""Of an axis' scale to that of the whole: wrong targets would make it negative."""
+
 
 def fit_in_plane(
     levelled: FloatArray,
@@ -51,6 +54,8 @@ def fit_in_plane(
         common = (share @ (turned * x).sum(axis=1)) / energy.sum()
         held = _AXES_HELD * energy.mean()
         scale = (share @ (turned * x) + held * common) / (energy + held)
+        size = np.sqrt((share @ x**2).sum() / energy.sum())
+        scale = np.clip(scale, size / _LARGEST_RATIO, size * _LARGEST_RATIO)
         shift = goal - scale * (rotation @ centre) * in_plane
         placed = scale * (levelled @ rotation.T) + shift
         away = np.linalg.norm(placed - targets, axis=1) / spreads
