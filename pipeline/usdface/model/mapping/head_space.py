@@ -9,6 +9,7 @@ from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace
+from usdface.model.mapping.pose_error import PoseErrors
 from usdface.model.mapping.take_neutral import TakeNeutral, compare_neutral
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
@@ -80,28 +81,35 @@ class HeadSpace:
     """Markers of the take that the mapping lacks; ignored."""
     neutral: TakeNeutral
     """Of the take, in the mapping's order and head space."""
+    pose_errors: PoseErrors | None = None
+    """Of the take's frames; None if the rig's motion of the markers is not known."""
 
     def place(self, markers: Markers) -> MappedMarkers:
         """Return frames of the take in the mapping's order, head space and neutral face."""
         positions, visible = _in_order(markers, self.columns, self.slots, self.count)
-        positions = self.move(positions)
+        positions = self.move(positions, visible)
         if not visible.all():
             positions[~visible] = 0.0
         confidence = np.zeros(visible.shape, np.float32)
         confidence[:, self.slots] = markers.confidence[:, self.columns]
         return MappedMarkers(positions, visible, confidence)
 
-    def move(self, positions: Float32Array) -> Float32Array:
+    def move(self, positions: Float32Array, visible: BoolArray) -> Float32Array:
         """Align positions in the mapping's order, (frames, markers, 3) [mm], with its neutral."""
         flat = positions.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
         flat += self.shift.astype(np.float32)
         moved: Float32Array = flat.reshape(positions.shape)
+        if self.pose_errors is not None and self.pose_errors.size_mm:
+            moved = self.pose_errors.remove(moved, visible).astype(np.float32)
         if self.neutral.offset.any():
             moved -= self.neutral.offset.astype(np.float32)
         return moved
 
     def restore(self, positions: FloatArray) -> FloatArray:
-        """Transform positions (..., markers, 3) [mm] back to the take's space."""
+        """Transform positions (..., markers, 3) [mm] back to the take's space.
+
+        Errors of its poses are not restored.
+        """
         return np.asarray((positions + self.neutral.offset - self.shift) @ self.rotation)
 
 
@@ -138,21 +146,7 @@ def find_head_space(
     """
     if markers.space != "stabilized":
         raise InputError("the take still holds head motion; run the clean step on it first")
-    index = {name: i for i, name in enumerate(markers.names)}
-    common = [name for name in face.marker_names if name in index]
-    missing = tuple(name for name in face.marker_names if name not in index)
-    known = set(face.marker_names)
-    if len(common) < MINIMUM_SHARE * len(face.marker_names):
-        raise InputError(
-            f"the take has {len(common)} of the mapping's {len(known)} markers, at least "
-            f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; missing: "
-            f"{first_few(missing)}. "
-            "Rename the take's markers, or train a mapping for this marker set; where one "
-            "performance was captured with both sets and one video, the solve of one set keys "
-            "references of the other (`usdface references import --at video`)"
-        )
-    slots = np.array([i for i, name in enumerate(face.marker_names) if name in index])
-    columns = np.array([index[face.marker_names[i]] for i in slots])
+    slots, columns = _common_markers(face, markers)
     count = len(face.marker_names)
     positions, visible = _in_order(markers, columns, slots, count)
     rotation, shift = _rigid_transform(face, positions, visible)
@@ -162,10 +156,13 @@ def find_head_space(
         picks = np.union1d(picks, np.flatnonzero(numbers == markers.neutral_frame))
     seen = visible[picks]
 
-    def compare() -> TakeNeutral:
+    def align() -> FloatArray:
+        return positions[picks].astype(np.float64) @ rotation.T + shift
+
+    def compare(aligned: FloatArray) -> TakeNeutral:
         return compare_neutral(
             face,
-            positions[picks].astype(np.float64) @ rotation.T + shift,
+            aligned,
             seen,
             frames=numbers[picks],
             stated_frame=markers.neutral_frame,
@@ -174,15 +171,47 @@ def find_head_space(
             session=session,
         )
 
-    neutral = compare()
-    if neutral.offset.any():
-        # The median of rigid markers, which sit on skin, depends on the take's expressions. The
-        # offset compares equal expressions: its rigid part is an error of the head space.
-        turn, step = _rigid_part(face, neutral.offset, np.asarray(seen.any(axis=0)))
+    errors = None if face.expressions is None else face.expressions.find_errors(align(), seen)
+    if errors is not None and errors.size_mm:
+        turn, step = errors.mean_transform
         rotation, shift = turn @ rotation, turn @ shift + step
-        neutral = compare()
-    extra = tuple(name for name in markers.names if name not in known)
-    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral)
+        errors = errors.expressions.find_errors(align(), seen)
+        neutral = compare(errors.remove(align(), seen))
+    else:
+        neutral = compare(align())
+        if neutral.offset.any():
+            # The median of rigid markers, which sit on skin, depends on the take's expressions. The
+            # offset compares equal expressions: its rigid part is an error of the head space.
+            turn, step = _rigid_part(face, neutral.offset, np.asarray(seen.any(axis=0)))
+            rotation, shift = turn @ rotation, turn @ shift + step
+            neutral = compare(align())
+    missing, extra = (
+        tuple(name for name in names if name not in others)
+        for names, others in (
+            (face.marker_names, markers.names),
+            (markers.names, face.marker_names),
+        )
+    )
+    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral, errors)
+
+
+def _common_markers(face: PerformerFace, markers: Markers) -> tuple[IntArray, IntArray]:
+    """Return the indices of the common markers in the face, and in the take."""
+    index = {name: i for i, name in enumerate(markers.names)}
+    common = [name for name in face.marker_names if name in index]
+    known = len(face.marker_names)
+    if len(common) < MINIMUM_SHARE * known:
+        missing = [name for name in face.marker_names if name not in index]
+        raise InputError(
+            f"the take has {len(common)} of the mapping's {known} markers, at least "
+            f"{int(np.ceil(MINIMUM_SHARE * known))} are needed; missing: "
+            f"{first_few(missing)}. "
+            "Rename the take's markers, or train a mapping for this marker set; where one "
+            "performance was captured with both sets and one video, the solve of one set keys "
+            "references of the other (`usdface references import --at video`)"
+        )
+    slots = np.array([i for i, name in enumerate(face.marker_names) if name in index])
+    return slots, np.array([index[face.marker_names[i]] for i in slots])
 
 
 def _in_order(

@@ -8,6 +8,7 @@ from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.motion_space import thinned_sample
+from usdface.model.mapping.pose_error import ExpressionMotion
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,8 @@ class PerformerFace:
     performer: str = ""
     session: str = ""
     """`performer`, `session`: Of the take that defines the space; empty if unknown."""
+    expressions: ExpressionMotion | None = None
+    """With which errors of poses are found; None if not known."""
 
 
 def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
@@ -54,6 +57,7 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
         np.ones((len(frames), count), np.bool_),
         str(mapping.settings.get("performer", "")),
         str(mapping.settings.get("session", "")),
+        ExpressionMotion.from_arrays(mapping.arrays, mapping.neutral),
     )
 
 

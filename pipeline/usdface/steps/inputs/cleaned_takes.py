@@ -272,7 +272,7 @@ def _onto_first(
         )
         with as_input_error(f"{paths[index]}, with {paths[0]}", of=InputError):
             space = _head_space(face, sample, take.frames[rows], take)
-        positions[index] = space.move(positions[index])
+        positions[index] = space.move(positions[index], usable[index])
         neutrals.append(space.neutral)
     return tuple(neutrals)
 

@@ -20,6 +20,7 @@ from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
 from usdface.model.mapping.performer_face import face_of_mapping
+from usdface.model.mapping.pose_error import pose_error_note
 from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
@@ -282,6 +283,8 @@ def _marker_notes(space: HeadSpace) -> list[str]:
         )
     if space.extra:
         notes.append(f"not used, as the mapping lacks them: {counted(space.extra, 'marker')}")
+    if space.pose_errors is not None and space.pose_errors.size_mm:
+        notes.append(pose_error_note("the take", space.pose_errors.size_mm))
     return notes
 
 

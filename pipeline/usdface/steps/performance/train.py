@@ -16,6 +16,7 @@ from usdface.core.text import counted, first_few, pluralize
 from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
+from usdface.model.mapping.pose_error import pose_error_note
 from usdface.model.mapping.regions import offsets_at, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
@@ -258,6 +259,9 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"{'is' if len(unseen) == 1 else 'are'} inferred from the rest of the face, and not "
             "included in the uncertainty; key them with `usdface edit`"
         )
+    pose_error_mm = float(mapping.settings.get("pose_error_mm", 0.0))
+    if pose_error_mm:
+        notes.append(pose_error_note("the references", pose_error_mm))
     key_error = float(mapping.settings.get("key_error", 0.0))
     if key_error:
         notes.append(

@@ -1,0 +1,285 @@
+"""Errors of a take's stabilisation: head motion that its markers still have.
+
+A band slips, and markers that are taken as rigid sit on skin. The error of a frame's pose displaces
+all markers as one body, expressions do not. The displacements of the markers from the neutral are::
+
+    d_k = B_k' z + P_k p + e_k,    P_k p = r x (n_k - c) + s
+
+- z ~ N(0, 1): expressions. ``B'B`` is the second moment of the motion by the rig's shapes, for
+  weights as in the references plus uniform ones, which references need not show;
+- p = (r, s) ~ N(m, S): rotation [rad] and translation [mm] about the centre c of the neutral n;
+- e_k ~ N(0, nu_k): the performer's departure from the rig, and noise. Rigid markers tell nothing of
+  p, as the stabilisation has brought them to rest.
+
+m and S are the maximum of the likelihood over a take (expectation maximisation of S), or 0 where S
+is small, or not much larger than the posterior covariance: a constant error is left to
+`take_neutral`. The posterior mean of p is subtracted.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from usdface.core.arrays import Arrays, BoolArray, FloatArray, IntArray, RealArray, frame_blocks
+from usdface.core.assets import MotionSpace
+from usdface.model.mapping.motion_space import motion_from_pca
+from usdface.numerics.regression.pca import fit_pca
+
+_UNIFORM_VARIANCE = 1 / 12
+"""Variance of a weight in [0, 1] of which nothing is known."""
+_DEPARTURE_SHARE = 0.35
+"""Standard deviation of a performer's motion by a shape, relative to the rig's: as that of the
+amplitudes in `fit_marker_basis`."""
+_SHAPE_DEPARTURE = 0.15
+"""The same of what all markers have in common: a performer's shapes have other directions."""
+_NOISE_MM = 0.15
+"""Standard deviation of a coordinate of a marker at rest."""
+_COMPONENT_COUNT = 40
+"""Largest number of components of the expressions."""
+_NOISE_ROUNDS = 2
+"""Solves of a frame: with the departure of the mean motion, then of that in the frame."""
+_OFFSET_ROUNDS = 2
+"""Estimates of the markers' mean residual, without which it counts as an error of the pose."""
+_USUAL_CHI2 = 0.1
+"""Mean chi2 per degree of freedom of a take like the references, as weights move together and most
+performers depart less from the rig. Where it is larger, unknown expressions pass as errors."""
+_BLOCK_FRAMES = 128
+"""Frames solved at once: 15 MB with 100 markers."""
+_START = np.array([0.02] * 3 + [2.0] * 3) ** 2
+"""Variances of the errors from which maximisation starts: [rad^2], [mm^2]."""
+_MAXIMISATION_ROUNDS = 30
+"""Rounds of expectation maximisation; errors of 0.3 mm have converged after ten."""
+_LEAST_MM = 0.2
+"""Error that is removed, at the markers: less is no more than what a good head band leaves."""
+_FEWEST_FRAMES = 24
+"""With fewer, the covariance of the errors is not known."""
+_LEAST_RATIO = 2.0
+"""The same, relative to the posterior standard deviation: less may be expressions."""
+
+
+@dataclass(frozen=True)
+class ExpressionMotion:
+    """Distribution of a performer's marker displacements by expressions."""
+
+    neutral: FloatArray
+    """(markers, 3) [mm]"""
+    components: FloatArray
+    """(components, markers, 3): B [mm]."""
+    motion2: FloatArray
+    """(markers,): mean square of a coordinate's motion by expressions [mm^2]."""
+    rigid_markers: BoolArray
+    """(markers,)"""
+
+    @cached_property
+    def rigid(self) -> FloatArray:
+        """(6, markers, 3): displacement by 1 rad about and by 1 mm along each axis, P."""
+        offsets = self.neutral - self.neutral.mean(axis=0)
+        turns = np.cross(np.eye(3)[:, None], offsets)
+        return np.concatenate([turns, np.broadcast_to(np.eye(3)[:, None], turns.shape)])
+
+    def likelihood(self, positions: RealArray, visible: BoolArray) -> "PoseLikelihood":
+        """Return what frames tell of p, with expressions integrated out."""
+        seen = visible & ~self.rigid_markers
+        moved = np.where(seen[:, :, None], positions - self.neutral, 0.0)
+        blocks = frame_blocks(len(positions), frames=_BLOCK_FRAMES)
+        return PoseLikelihood(
+            *map(
+                np.concatenate,
+                zip(*(self._integrate(moved[rows], seen[rows]) for rows in blocks), strict=True),
+            )
+        )
+
+    def _integrate(self, moved: FloatArray, seen: BoolArray) -> tuple[FloatArray, ...]:
+        """Return the fields of `likelihood` for a block of displacements."""
+        both = np.concatenate([self.components, self.rigid])
+        count, free = len(self.components), 3 * seen.sum(axis=1)
+        flat, displaced = both.reshape(len(both), -1), moved.reshape(len(moved), -1)
+        variance = np.broadcast_to(self.motion2, seen.shape)
+        for _ in range(_NOISE_ROUNDS):
+            precision = seen / (_NOISE_MM**2 + _DEPARTURE_SHARE**2 * variance)
+            weight = np.repeat(precision, 3, axis=1)
+            normal = (flat * weight[:, None]) @ flat.T
+            right = (weight * displaced) @ flat.T
+            inner = normal[:, :count, :count] + np.eye(count)
+            solved = np.linalg.solve(
+                inner, np.concatenate([normal[:, :count, count:], right[:, :count, None]], axis=2)
+            )
+            cross = normal[:, count:, :count]
+            information = normal[:, count:, count:] - cross @ solved[:, :, :6]
+            score = right[:, count:] - (cross @ solved[:, :, 6:])[:, :, 0]
+            p = np.linalg.solve(information + np.diag(1 / _START), score[:, :, None])
+            z = solved[:, :, 6:] - solved[:, :, :6] @ p
+            variance = (np.tensordot(z[:, :, 0], self.components, 1) ** 2).mean(axis=2)
+        fitted = np.concatenate([z, p], axis=1)[:, :, 0]
+        chi2 = (weight * displaced**2 - fitted @ flat * weight * displaced).sum(axis=1)
+        residual = (displaced - fitted @ flat).reshape(moved.shape) * seen[:, :, None]
+        return information, score, chi2 / np.maximum(free - 6, 1), residual
+
+    def find_errors(self, positions: RealArray, visible: BoolArray) -> "PoseErrors":
+        """Return the distribution of the errors of a take's poses.
+
+        Parameters
+        ----------
+        positions : (frames, markers, 3) float array
+            Frames spread over the take, in the neutral's head space [mm].
+        visible : (frames, markers) bool array
+        """
+        offset, times = np.zeros_like(self.neutral), np.maximum(visible.sum(axis=0), 1)[:, None]
+        for _ in range(_OFFSET_ROUNDS):
+            found = self.likelihood(positions - offset, visible)
+            offset += found.residual.sum(axis=0) / times
+        found = self.likelihood(positions - offset, visible)
+        scale = max(float(found.chi2.mean()) / _USUAL_CHI2, 1.0)
+        mean, covariance, posterior = _maximise(found.information / scale, found.score / scale)
+        size, unknown = self._size_mm(covariance), self._size_mm(posterior)
+        if size < max(_LEAST_MM, _LEAST_RATIO * unknown) or len(positions) < _FEWEST_FRAMES:
+            size = 0.0
+        return PoseErrors(self, offset, scale, mean, covariance, size)
+
+    def _size_mm(self, covariance: FloatArray) -> float:
+        """Return the root mean square displacement of the markers by p [mm]."""
+        squares = np.einsum("pmc,qmc,pq->m", self.rigid, self.rigid, covariance)
+        return float(np.sqrt(squares.mean()))
+
+    def to_arrays(self) -> Arrays:
+        """Return the distribution as arrays of a mapping."""
+        return {
+            "expression_components": self.components,
+            "expression_motion2": self.motion2,
+            "expression_rigid": self.rigid_markers.astype(np.float64),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, neutral: FloatArray) -> "ExpressionMotion | None":
+        """Rebuild the distribution from a mapping; None if it was trained without a rig."""
+        if "expression_motion2" not in arrays:
+            return None
+        components, motion2, rigid = (
+            arrays[f"expression_{name}"] for name in ("components", "motion2", "rigid")
+        )
+        return cls(neutral, components, motion2, rigid > 0)
+
+
+class PoseLikelihood(NamedTuple):
+    """What frames tell of p."""
+
+    information: FloatArray
+    """(frames, 6, 6): inverse covariance of the estimate of p."""
+    score: FloatArray
+    """(frames, 6): information times the estimate."""
+    chi2: FloatArray
+    """(frames,): squared residual over its variance, per degree of freedom."""
+    residual: FloatArray
+    """(frames, markers, 3): of the most probable expression and p; 0 where not used [mm]."""
+
+
+def _maximise(information: FloatArray, score: FloatArray) -> tuple[FloatArray, ...]:
+    """Return m, S, and the mean posterior covariance of p."""
+    covariance = np.diag(_START)
+    for _ in range(_MAXIMISATION_ROUNDS):
+        inverse = np.linalg.inv(covariance)
+        posterior = np.linalg.inv(information + inverse)
+        # Generalised least squares, with (S + I^-1)^-1 = S^-1 - S^-1 (S^-1 + I)^-1 S^-1.
+        weight = inverse - inverse @ posterior.mean(axis=0) @ inverse
+        scaled = (posterior @ score[:, :, None])[:, :, 0]
+        mean = np.linalg.solve(weight, inverse @ scaled.mean(axis=0))
+        away = scaled + posterior @ (inverse @ mean) - mean
+        covariance = away.T @ away / len(away) + posterior.mean(axis=0)
+    return mean, covariance, posterior.mean(axis=0)
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Distribution of the errors of a take's poses."""
+
+    expressions: ExpressionMotion
+    offset: FloatArray
+    """(markers, 3): mean residual over the take, as of reapplied markers [mm]."""
+    noise_scale: float
+    """Factor on the variance of e, where the residuals exceed it."""
+    mean: FloatArray
+    """(6,): m [rad, mm]."""
+    covariance: FloatArray
+    """(6, 6): S."""
+    size_mm: float
+    """Root mean square displacement of the markers from that by m; 0 if nothing is removed [mm]."""
+
+    @property
+    def mean_transform(self) -> tuple[FloatArray, FloatArray]:
+        """Rotation and shift that remove the mean, without linearisation."""
+        turn: FloatArray = Rotation.from_rotvec(-self.mean[:3]).as_matrix()
+        centre = self.expressions.neutral.mean(axis=0)
+        return turn, centre - turn @ (centre + self.mean[3:])
+
+    def remove(self, positions: RealArray, visible: BoolArray) -> FloatArray:
+        """Return positions (frames, markers, 3) without the errors, rigid markers at rest [mm]."""
+        if not self.size_mm:
+            return np.asarray(positions, dtype=np.float64)
+        found = self.expressions.likelihood(positions - self.offset, visible)
+        inverse = np.linalg.inv(self.covariance)
+        score = found.score / self.noise_scale + inverse @ self.mean
+        precision = found.information / self.noise_scale + inverse
+        error = np.linalg.solve(precision, score[:, :, None])[:, :, 0]
+        moved: FloatArray = np.asarray(positions - np.tensordot(error, self.expressions.rigid, 1))
+        at_rest = self.expressions.rigid_markers
+        moved[:, at_rest] = self.expressions.neutral[at_rest]
+        return moved
+
+    def remove_from_motion(self, motion: MotionSpace) -> MotionSpace:
+        """Return the motion space of its sample without the errors."""
+        if not self.size_mm:
+            return motion
+        frames = sampled_frames(motion)
+        rows = self.remove(frames, np.ones(frames.shape[:2], np.bool_)).reshape(len(frames), -1)
+        pca = fit_pca(rows, dimensions=len(motion.variances))
+        unexplained = motion.total_variance - float(motion.variances.sum())
+        return replace(
+            motion_from_pca(pca, rows),
+            total_variance=pca.total_variance + unexplained,
+            sample_starts=motion.sample_starts,
+        )
+
+
+def sampled_frames(motion: MotionSpace) -> FloatArray:
+    """Return the sample of a motion space, (frames, markers, 3) [mm]."""
+    return (motion.mean + motion.sample @ motion.components).reshape(len(motion.sample), -1, 3)
+
+
+def expression_motion(
+    basis: FloatArray, weights: FloatArray, neutral: FloatArray, *, rigid: IntArray
+) -> ExpressionMotion:
+    """Return the distribution of displacements by a rig's shapes.
+
+    Parameters
+    ----------
+    basis : (shapes, markers, 3) float array
+        Displacement by each shape at 1 [mm].
+    weights : (pairs, shapes) float array
+        Normalised weights of references; none for uniform ones alone.
+    neutral : (markers, 3) float array
+        [mm]
+    rigid : int array
+        Rigid markers.
+    """
+    count, flat = len(basis), basis.reshape(len(basis), -1)
+    moment = weights.T @ weights / max(len(weights), 1) + _UNIFORM_VARIANCE * np.eye(count)
+    rows = np.linalg.cholesky(moment).T @ flat
+    motion2 = (rows**2).sum(axis=0).reshape(len(neutral), 3).mean(axis=1)
+    # Each shape times a random 3 x 3 matrix: other directions and proportions.
+    sized = _SHAPE_DEPARTURE * np.sqrt(np.diag(moment))[:, None, None] * basis
+    turned = np.einsum("smc,ad->scamd", sized, np.eye(3)).reshape(9 * count, -1)
+    _, size, directions = np.linalg.svd(np.concatenate([rows, turned]), full_matrices=False)
+    components = (size[:, None] * directions)[:_COMPONENT_COUNT].reshape(-1, *basis.shape[1:])
+    return ExpressionMotion(neutral, components, motion2, np.isin(np.arange(len(neutral)), rigid))
+
+
+def pose_error_note(subject: str, size_mm: float) -> str:
+    """Return a note on removed errors, of a take or of references."""
+    return (
+        f"the head still moves in {subject}: by {size_mm:.1f} mm (root mean square), as if the "
+        "rigid markers had slipped or sat on skin. The face shows it, so it is removed; look at "
+        "the choice of rigid markers (`usdface clean --rigid`)"
+    )

@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+
+from usdface.core.assets import MotionSpace
+from usdface.model.mapping import pose_error
+from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.pose_error import ExpressionMotion, expression_motion
+
+SHAPES, MARKERS, FRAMES = 8, 30, 400
+BAND = np.arange(26, MARKERS)
+"""Markers that no shape moves."""
+
+
+def face() -> tuple[np.ndarray, np.ndarray]:
+    """Return a neutral, and the displacements of its markers by each shape [mm]."""
+    rng = np.random.default_rng(3)
+    neutral = rng.uniform(-60, 60, (MARKERS, 3))
+    middles = neutral[rng.permutation(26)[:SHAPES]]
+    near = np.exp(-0.5 * ((neutral - middles[:, None]) ** 2).sum(axis=2) / 25.0**2)
+    near[:, BAND] = 0
+    return neutral, near[:, :, None] * rng.normal(0, 6, (SHAPES, 1, 3))
+
+
+def acted(turn_deviation: float, move_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return weights, markers without and with errors of the pose, which the band does not show."""
+    rng = np.random.default_rng(4)
+    neutral, shapes = face()
+    weights = np.clip(rng.normal(0.2, 0.3, (FRAMES, SHAPES)), 0, 1)
+    still = neutral + np.tensordot(weights, shapes, 1) + rng.normal(0, 0.05, (FRAMES, MARKERS, 3))
+    turns, moves = rng.normal(0, turn_deviation, (FRAMES, 3)), rng.normal(0, move_mm, (FRAMES, 3))
+    moved = still + np.cross(turns[:, None], neutral - neutral.mean(axis=0)) + moves[:, None]
+    moved[:, BAND] = still[:, BAND]
+    return weights, still, moved
+
+
+def model(weights: np.ndarray) -> ExpressionMotion:
+    neutral, shapes = face()
+    return expression_motion(shapes, weights[:20], neutral, rigid=BAND)
+
+
+SEEN = np.ones((FRAMES, MARKERS), bool)
+
+
+def test_errors_of_a_band_that_slips_are_found_and_removed() -> None:
+    weights, still, moved = acted(0.02, 1.5)
+    errors = model(weights).find_errors(moved, SEEN)
+    found = np.sqrt(np.diag(errors.covariance))
+    np.testing.assert_allclose(found, [0.02] * 3 + [1.5] * 3, rtol=0.15)
+    on_skin = np.arange(26)
+    away = (errors.remove(moved, SEEN) - still)[:, on_skin]
+    before = (moved - still)[:, on_skin]
+    assert np.sqrt((away**2).mean()) < 0.1 * np.sqrt((before**2).mean())
+
+
+def test_a_good_stabilisation_is_left_as_it_is() -> None:
+    weights, still, _ = acted(0, 0)
+    errors = model(weights).find_errors(still, SEEN)
+    assert errors.size_mm == 0
+    np.testing.assert_array_equal(errors.remove(still, SEEN), still)
+
+
+def test_likelihood_is_that_of_the_dense_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pose_error, "_NOISE_ROUNDS", 1)  # with the departure of the mean motion
+    weights, _, moved = acted(0.02, 1.5)
+    expressions = model(weights)
+    seen = SEEN.copy()
+    seen[:, [2, 5]] = False
+    found = expressions.likelihood(moved, seen)
+    used = np.repeat(~expressions.rigid_markers & seen[0], 3)
+    rigid = expressions.rigid.reshape(6, -1)[:, used]
+    basis = expressions.components.reshape(-1, 3 * MARKERS)[:, used]
+    departure = pose_error._DEPARTURE_SHARE**2 * expressions.motion2
+    noise = np.repeat(pose_error._NOISE_MM**2 + departure, 3)[used]
+    inverse = np.linalg.inv(basis.T @ basis + np.diag(noise))
+    displaced = (moved - expressions.neutral).reshape(FRAMES, -1)[:, used]
+    np.testing.assert_allclose(found.information[7], rigid @ inverse @ rigid.T, rtol=1e-6)
+    np.testing.assert_allclose(found.score, displaced @ inverse @ rigid.T, rtol=1e-6, atol=1e-6)
+
+
+def test_distribution_is_the_most_probable() -> None:
+    """Of the estimates x ~ N(m, S + I^-1), for information I that is equal in all frames."""
+    weights, _, moved = acted(0.02, 1.5)
+    found = model(weights).likelihood(moved, SEEN)
+    information = np.broadcast_to(found.information.mean(axis=0), found.information.shape)
+    mean, covariance, _ = pose_error._maximise(information, found.score)
+    estimates = found.score @ np.linalg.inv(information[0])
+    np.testing.assert_allclose(mean, estimates.mean(axis=0), atol=1e-6)
+    expected = np.cov(estimates.T, bias=True) - np.linalg.inv(information[0])
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        covariance / scale / scale[:, None], expected / scale / scale[:, None], atol=0.02
+    )
+
+
+def test_reapplied_markers_are_no_errors_of_the_pose() -> None:
+    weights, still, moved = acted(0.02, 1.5)
+    shift = np.random.default_rng(5).normal(0, 1, (MARKERS, 3))
+    errors = model(weights).find_errors(moved + shift, SEEN)
+    away = (errors.remove(moved + shift, SEEN) - still)[:, :26]
+    assert (away - away.mean(axis=0)).std() < 0.2
+
+
+def test_unknown_expressions_are_no_errors_of_the_pose() -> None:
+    """A part that no shape moves so."""
+    weights, still, _ = acted(0, 0)
+    swelling = np.random.default_rng(6).uniform(0, 4, FRAMES)
+    cheek = np.argsort(np.linalg.norm(face()[0] - face()[0][0], axis=1))[:5]
+    still[:, cheek] += swelling[:, None, None] * [0.0, 0.6, 0.8]
+    assert model(weights).find_errors(still, SEEN).size_mm == 0
+
+
+def test_expected_motion_is_that_of_random_weights() -> None:
+    neutral, shapes = face()
+    expressions = expression_motion(shapes, np.zeros((0, SHAPES)), neutral, rigid=BAND)
+    uniform = np.random.default_rng(0).uniform(-0.5, 0.5, (200_000, SHAPES))
+    flat = shapes.reshape(SHAPES, -1)
+    expected = flat.T @ (uniform.T @ uniform / len(uniform)) @ flat
+    mean = np.diag(expected).reshape(MARKERS, 3).mean(axis=1)
+    np.testing.assert_allclose(expressions.motion2, mean, atol=0.02 * mean.max())
+    other = pose_error._SHAPE_DEPARTURE * np.random.default_rng(1).normal(
+        0, 1, (20_000, SHAPES, 3, 3)
+    )
+    scaled = np.sqrt(1 / 12) * np.einsum("fsab,smb->fma", other, shapes).reshape(20_000, -1)
+    expected += scaled.T @ scaled / len(scaled)
+    components = expressions.components.reshape(len(expressions.components), -1)
+    np.testing.assert_allclose(components.T @ components, expected, atol=0.05 * expected.max())
+
+
+def test_motion_space_is_that_of_the_frames_without_errors() -> None:
+    weights, _, moved = acted(0.02, 1.5)
+    errors = model(weights).find_errors(moved, SEEN)
+    changed = errors.remove_from_motion(space_of(moved))
+    expected = space_of(errors.remove(moved, SEEN))
+    np.testing.assert_allclose(changed.mean, expected.mean, atol=1e-6)
+    assert changed.total_variance == pytest.approx(expected.total_variance)
+    frames = changed.mean + changed.sample @ changed.components
+    np.testing.assert_allclose(frames, expected.mean + expected.sample @ expected.components)
+
+
+def space_of(frames: np.ndarray) -> MotionSpace:
+    """Return all components: errors that are left out have no part in the sample."""
+    return fit_motion_space([frames], dimensions=3 * MARKERS)
