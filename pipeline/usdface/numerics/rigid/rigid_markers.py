@@ -15,8 +15,9 @@ _LOW, _HIGH = 5.0, 95.0
 """[percentile] Swapped samples and outliers are outside."""
 _PERCENTILES_TO_DEVIATION = 3.29
 """Distance of the two percentiles of a normal distribution, in standard deviations."""
-_LARGEST_TURN = np.deg2rad(1.2)
-"""Largest error of the head's rotation: moves the mouth, at 80 mm, by 1.5 mm."""
+_LARGEST_TURN = np.deg2rad(2.0)
+"""Largest error of the head's rotation: moves the mouth, at 80 mm, by 3 mm, of which mapping removes
+most by the rig."""
 _LEAST_SEEN = 0.5
 """[of the frames] In which a marker must be visible."""
 _NEAR_BEST = 1.2
@@ -61,7 +62,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     Raises
     ------
     ValueError
-        If there is no set of four or more markers, or the expected error of each exceeds 1.2
+        If there is no set of four or more markers, or the expected error of each exceeds 2
         degrees.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
