@@ -1,10 +1,24 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from usdface.core.assets import MotionSpace
+from tests.model.synthetic import (
+    RIGID,
+    SyntheticFace,
+    align_markers,
+    markers_of,
+    references_of,
+    synthetic_face,
+)
+from usdface.core.assets import MotionSpace, TrainedMapping
 from usdface.model.mapping import pose_error
+from usdface.model.mapping.head_space import find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.performer_face import face_of_mapping
 from usdface.model.mapping.pose_error import ExpressionMotion, expression_motion
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 
 SHAPES, MARKERS, FRAMES = 8, 30, 400
 BAND = np.arange(26, MARKERS)
@@ -140,3 +154,51 @@ def test_motion_space_is_that_of_the_frames_without_errors() -> None:
 def space_of(frames: np.ndarray) -> MotionSpace:
     """Return all components: errors that are left out have no part in the sample."""
     return fit_motion_space([frames], dimensions=3 * MARKERS)
+
+
+def slipped(made: SyntheticFace, seed: int) -> SyntheticFace:
+    """Return the face as stabilised by a band that slips: the markers move, the band does not."""
+    rng = np.random.default_rng(seed)
+    slow = np.cumsum(rng.normal(0, 0.15, (len(made.positions), 6)), axis=0)
+    slow *= np.array([0.02] * 3 + [1.5] * 3) / slow.std(axis=0)
+    away = np.cross(slow[:, None, :3], made.neutral - made.neutral.mean(axis=0))
+    moved = made.positions + away + slow[:, None, 3:]
+    moved[:, :RIGID] = made.positions[:, :RIGID]
+    return replace(made, positions=moved)
+
+
+def trained(made: SyntheticFace) -> TrainedMapping:
+    return train_mapping(
+        references_of(made, np.arange(0, 1200, 30)),
+        ranges=made.ranges,
+        gram=made.gram,
+        skin=made.shapes,
+        method="face_map",
+    )
+
+
+def test_a_slip_is_removed_from_references_and_takes() -> None:
+    good, other = synthetic_face(noise=0.1), synthetic_face(noise=0.1, seed=1)
+    mapping, expected = trained(slipped(good, 2)), trained(good)
+    assert mapping.settings["pose_error_mm"] > 1
+    assert expected.settings["pose_error_mm"] == 0
+    errors = []
+    for each, take in ((expected, other), (mapping, slipped(other, 3)), (mapping, other)):
+        placed = align_markers(each, markers_of(take), rate=60.0)
+        found = predict_weights(each, placed.positions, visible=placed.visible).weights
+        errors.append(np.sqrt(((found - other.weights) ** 2).mean()))
+    assert max(errors) < 0.03
+    arrays = {k: v for k, v in expected.arrays.items() if not k.startswith("expression_")}
+    uncorrected = replace(expected, arrays=arrays)
+    placed = align_markers(uncorrected, markers_of(slipped(other, 3)), rate=60)
+    found = predict_weights(uncorrected, placed.positions, visible=placed.visible).weights
+    assert np.sqrt(((found - other.weights) ** 2).mean()) > 0.1
+
+
+def test_a_mapping_without_a_rig_removes_nothing() -> None:
+    made = synthetic_face()
+    mapping = train_mapping(
+        references_of(made, np.arange(0, 1200, 30)), ranges=made.ranges, gram=None, method="ridge"
+    )
+    assert face_of_mapping(mapping).expressions is None
+    assert find_head_space(face_of_mapping(mapping), markers_of(made), rate=60).pose_errors is None
