@@ -17,6 +17,7 @@ from usdface.cli.app import main
 from usdface.core.assets import Video
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.provenance import Provenance
+from usdface.media.film.movie import SAMPLE_RATE
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.runner.execute import execute
 from usdface.runner.job import run_job
@@ -30,9 +31,8 @@ from usdface.usdio.take.write import VideoSync, write_take, write_video_sync
 from usdface.usdio.validation import validate
 
 SYNC = ("face:video:offset", "face:video:drift", "face:sync:confidence")
-RATE = 32000
-CAPTURE = Recorder(start=0.3, seconds=9.0, rate=RATE, ppm=30, snr_db=30)
-CAMERA = Recorder(start=2.05, seconds=6.0, rate=RATE, ppm=-40, snr_db=12, reverb_seconds=0.2)
+CAPTURE = Recorder(start=0.3, seconds=9.0, rate=SAMPLE_RATE, ppm=30, snr_db=30)
+CAMERA = Recorder(start=2.05, seconds=6.0, rate=SAMPLE_RATE, ppm=-40, snr_db=12, reverb_seconds=0.2)
 OFFSET, DRIFT = true_line(CAMERA, CAPTURE)
 
 
@@ -40,15 +40,13 @@ def write_wav(path: Path, sound: np.ndarray) -> None:
     with wave.open(str(path), "wb") as file:
         file.setnchannels(1)
         file.setsampwidth(2)
-        file.setframerate(RATE)
+        file.setframerate(SAMPLE_RATE)
         file.writeframes((np.clip(sound, -1, 1) * 32767).astype("<i2").tobytes())
 
 
 def write_video(path: Path, sound: np.ndarray | None, timecode: str = "") -> None:
     pictures = (np.full((32, 32, 3), n % 255, np.uint8) for n in range(144))
-    write_stated_movie(
-        path, pictures, rate=Fraction(24), audio=sound, sample_rate=RATE, timecode=timecode
-    )
+    write_stated_movie(path, pictures, rate=Fraction(24), audio=sound, timecode=timecode)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from usdface.core.arrays import Arrays, BoolArray, FloatArray, IntArray, RealArray, frame_blocks
 from usdface.core.assets import MotionSpace
@@ -210,6 +209,8 @@ class PoseErrors:
     @property
     def mean_transform(self) -> tuple[FloatArray, FloatArray]:
         """Rotation and shift that remove the mean, without linearisation."""
+        from scipy.spatial.transform import Rotation  # slow to import
+
         turn: FloatArray = Rotation.from_rotvec(-self.mean[:3]).as_matrix()
         centre = self.expressions.neutral.mean(axis=0)
         return turn, centre - turn @ (centre + self.mean[3:])
