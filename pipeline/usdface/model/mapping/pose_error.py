@@ -11,9 +11,9 @@ all markers as one body, expressions do not. The displacements of the markers fr
 - e_k ~ N(0, nu_k): the performer's departure from the rig, and noise. Rigid markers tell nothing of
   p, as the stabilisation has brought them to rest.
 
-m and S are the maximum of the likelihood over a take (expectation maximisation of S), or 0 where S
-is small, or not much larger than the posterior covariance: a constant error is left to
-`take_neutral`. The posterior mean of p is subtracted.
+m and S maximise the likelihood over a take. The posterior mean of p is subtracted, unless S is
+small, or not much larger than the posterior covariance: a constant error alone is left to
+`take_neutral`.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usdface.core.arrays import Arrays, BoolArray, FloatArray, IntArray, RealArray, frame_blocks
+from usdface.core.arrays import (
+    Arrays,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    RealArray,
+    frame_blocks,
+    sample_frames,
+)
 from usdface.core.assets import MotionSpace
 from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.numerics.regression.pca import fit_pca
@@ -45,8 +53,10 @@ _OFFSET_ROUNDS = 2
 _USUAL_CHI2 = 0.1
 """Mean chi2 per degree of freedom of a take like the references, as weights move together and most
 performers depart less from the rig. Where it is larger, unknown expressions pass as errors."""
-_BLOCK_FRAMES = 128
-"""Frames solved at once: 15 MB with 100 markers."""
+_BLOCK_VALUES = 2_000_000
+"""Of B, in all frames that are solved at once: 16 MB."""
+_SAMPLED_FRAMES = 240
+"""Frames in which the distribution is estimated: its standard deviations are known to 5 %."""
 _START = np.array([0.02] * 3 + [2.0] * 3) ** 2
 """Variances of the errors from which maximisation starts: [rad^2], [mm^2]."""
 _MAXIMISATION_ROUNDS = 30
@@ -83,7 +93,7 @@ class ExpressionMotion:
         """Return what frames tell of p, with expressions integrated out."""
         seen = visible & ~self.rigid_markers
         moved = np.where(seen[:, :, None], positions - self.neutral, 0.0)
-        blocks = frame_blocks(len(positions), frames=_BLOCK_FRAMES)
+        blocks = frame_blocks(len(positions), frames=max(_BLOCK_VALUES // self.components.size, 1))
         return PoseLikelihood(
             *map(
                 np.concatenate,
@@ -126,6 +136,8 @@ class ExpressionMotion:
             Frames spread over the take, in the neutral's head space [mm].
         visible : (frames, markers) bool array
         """
+        rows = sample_frames(len(positions), _SAMPLED_FRAMES)
+        positions, visible = positions[rows], visible[rows]
         offset, times = np.zeros_like(self.neutral), np.maximum(visible.sum(axis=0), 1)[:, None]
         for _ in range(_OFFSET_ROUNDS):
             found = self.likelihood(positions - offset, visible)

@@ -16,8 +16,8 @@ _LOW, _HIGH = 5.0, 95.0
 _PERCENTILES_TO_DEVIATION = 3.29
 """Distance of the two percentiles of a normal distribution, in standard deviations."""
 _LARGEST_TURN = np.deg2rad(2.0)
-"""Largest error of the head's rotation: moves the mouth, at 80 mm, by 3 mm, of which mapping removes
-most by the rig."""
+"""Largest error of the head's rotation: it moves the mouth, at 80 mm, by 3 mm, of which mapping
+removes most by the rig."""
 _LEAST_SEEN = 0.5
 """[of the frames] In which a marker must be visible."""
 _NEAR_BEST = 1.2
