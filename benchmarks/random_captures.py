@@ -28,7 +28,7 @@ from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.usdio.rig.read import read_rig
 
-SETUPS, QUICK_SETUPS = 24, 4
+SETUPS, QUICK_SETUPS = 16, 2
 SECONDS, TESTED_SECONDS, REST_SECONDS = 40, 20, 1
 BAND_SIZE = {"none": 0, "three": 3, "band": 6, "slipping": 6}
 HEAD_MOTION = {"still": (1, 2), "nod": (8, 15), "walk": (6, 400), "turn": (25, 60)}

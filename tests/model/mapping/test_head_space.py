@@ -163,3 +163,15 @@ def test_places_where_a_rigid_marker_was_last_seen_do_not_count() -> None:
     space = find_head_space(lost, markers_of(short), rate=60.0)
     np.testing.assert_allclose(space.rotation, np.eye(3), atol=1e-3)
     np.testing.assert_allclose(space.shift, 0.0, atol=0.05)
+
+
+def test_reapplied_markers_are_known_less_the_less_they_move() -> None:
+    other = synthetic_face(noise=0.1, seed=1)
+    away = np.random.default_rng(0).normal(0, 1.2, other.neutral.shape)
+    away[: len(other.rigid)] = 0
+    mapping, moved = trained(), (other.positions + away).astype(np.float32)
+    known = align_markers(mapping, markers_of(other, positions=moved), rate=60.0).confidence[0]
+    assert (align_markers(mapping, markers_of(other), rate=60.0).confidence == 1).all()
+    motion = ((face_of_mapping(mapping).frames - mapping.neutral) ** 2).sum(axis=2).mean(axis=0)
+    assert (known < 1).all()
+    assert (np.argsort(known, kind="stable") == np.argsort(motion, kind="stable"))[-5:].all()

@@ -43,6 +43,10 @@ to a child; units differ by 2.5 or 10."""
 _SLIP_MM = 1.0
 """Scale of the Geman-McClure weights, which reject rigid markers that slipped."""
 
+_OFFSET_ERROR_SHARE = 0.25
+"""Error of an offset, relative to it: reapplied markers have 0.33 to 0.39 (`poe bench
+real_sessions`), of which a part is common to all and changes no weights."""
+
 _ALIGNMENT_ROUNDS = 10
 """Iteratively reweighted alignments."""
 
@@ -81,6 +85,8 @@ class HeadSpace:
     """Markers of the take that the mapping lacks; ignored."""
     neutral: TakeNeutral
     """Of the take, in the mapping's order and head space."""
+    known_share: FloatArray | float = 1.0
+    """(markers,): share of the variance of a marker's motion that is not an error of the offset."""
     pose_errors: PoseErrors | None = None
     """Of the take's frames; None if the rig's motion of the markers is not known."""
 
@@ -92,6 +98,7 @@ class HeadSpace:
             positions[~visible] = 0.0
         confidence = np.zeros(visible.shape, np.float32)
         confidence[:, self.slots] = markers.confidence[:, self.columns]
+        confidence *= self.known_share
         return MappedMarkers(positions, visible, confidence)
 
     def move(self, positions: Float32Array, visible: BoolArray) -> Float32Array:
@@ -192,7 +199,14 @@ def find_head_space(
             (markers.names, face.marker_names),
         )
     )
-    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral, errors)
+    known = _known_share(face, neutral)
+    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral, known, errors)
+
+
+def _known_share(face: PerformerFace, neutral: TakeNeutral) -> FloatArray:
+    motion2 = ((face.frames - face.neutral) ** 2).sum(axis=2).mean(axis=0)
+    error2 = (_OFFSET_ERROR_SHARE * neutral.offset_mm) ** 2
+    return np.asarray(np.clip(1 - error2 / np.maximum(motion2, 1e-9), 0.0, 1.0))
 
 
 def _common_markers(face: PerformerFace, markers: Markers) -> tuple[IntArray, IntArray]:
