@@ -9,6 +9,7 @@ from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.sidecars import corrected_path, proposed_path
+from usdface.model.mapping.motion_space import sampled_frames
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.numerics.measure.face_regions import shapes_by_region
@@ -114,8 +115,7 @@ def _sample(references: References) -> tuple[FloatArray, tuple[int, ...]]:
     motion = references.motion
     if motion is None or not len(motion.sample):
         return references.markers, (0,)
-    flat = motion.mean + motion.sample @ motion.components
-    return flat.reshape(len(flat), -1, 3), motion.sample_starts
+    return sampled_frames(motion), motion.sample_starts
 
 
 def _regions(

@@ -12,11 +12,10 @@ from usdface.core.deformer import Deformer
 from usdface.model.placement.label_hints import skin_motion_mm
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
-    LidEvidence,
     PerformerMarkers,
-    find_lid_evidence,
     set_up_equation,
 )
+from usdface.model.selection.lid_evidence import LidEvidence, find_lid_evidence
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.solve.peak_matching import ShapeEvidence
 from usdface.usdio.rig.read import read_rig

@@ -119,6 +119,11 @@ def motion_of_pairs(references: References) -> MotionSpace:
     return motion_from_pca(fit_pca(packed), packed)
 
 
+def sampled_frames(motion: MotionSpace) -> FloatArray:
+    """Return the sample of a motion space, (frames, markers, 3) [mm]."""
+    return (motion.mean + motion.sample @ motion.components).reshape(len(motion.sample), -1, 3)
+
+
 def thinned_sample(motion: MotionSpace) -> FloatArray:
     """Return coordinates of up to `SAMPLE_FRAMES` frames: (frames, dimensions)."""
     return motion.sample[sample_frames(len(motion.sample), SAMPLE_FRAMES)]

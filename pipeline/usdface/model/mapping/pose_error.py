@@ -32,7 +32,7 @@ from usdface.core.arrays import (
     sample_frames,
 )
 from usdface.core.assets import MotionSpace
-from usdface.model.mapping.motion_space import motion_from_pca
+from usdface.model.mapping.motion_space import motion_from_pca, sampled_frames
 from usdface.numerics.regression.pca import fit_pca
 
 _UNIFORM_VARIANCE = 1 / 12
@@ -254,11 +254,6 @@ class PoseErrors:
             total_variance=pca.total_variance + unexplained,
             sample_starts=motion.sample_starts,
         )
-
-
-def sampled_frames(motion: MotionSpace) -> FloatArray:
-    """Return the sample of a motion space, (frames, markers, 3) [mm]."""
-    return (motion.mean + motion.sample @ motion.components).reshape(len(motion.sample), -1, 3)
 
 
 def expression_motion(

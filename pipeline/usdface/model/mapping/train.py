@@ -21,9 +21,14 @@ from usdface.model.mapping.corrected_pairs import (
     find_contradicted,
     fit_rig_prior,
 )
-from usdface.model.mapping.motion_space import marker_coordinates, motion_arrays, motion_of_pairs
+from usdface.model.mapping.motion_space import (
+    marker_coordinates,
+    motion_arrays,
+    motion_of_pairs,
+    sampled_frames,
+)
 from usdface.model.mapping.pair_gains import mean_gains
-from usdface.model.mapping.pose_error import expression_motion, sampled_frames
+from usdface.model.mapping.pose_error import expression_motion
 from usdface.model.mapping.regions import (
     membership,
     region_grams,
