@@ -139,6 +139,20 @@ def test_some_shapes_are_solved_while_the_others_hold(made) -> None:
     assert ((found >= low) & (found <= high))[held].all()
 
 
+def test_targets_do_not_move_with_a_head_band_that_slips(made, places, monkeypatch) -> None:
+    rig, actor, references, targets = made
+    monkeypatch.setattr(baseline, "place_markers", lambda *given, **named: places[0])
+    rng = np.random.default_rng(1)
+    moves = rng.normal(0, 3, (len(actor.positions), 1, 3))
+    slipped = replace(
+        references,
+        motion=fit_motion_space([actor.positions + moves]),
+        markers=(references.markers + moves[references.frames]).astype(np.float32),
+    )
+    away = np.linalg.norm(find_targets(slipped, rig).targets - targets.targets, axis=2)
+    assert np.sqrt((away**2).mean()) < 1.5  # of 5.2
+
+
 def test_blinks_are_judged_take_by_take_as_by_select(made, places, monkeypatch) -> None:
     """The lids of one take lie lower than those of the other, by another head pose."""
     rig, actor, references, targets = made

@@ -13,7 +13,6 @@ from usdface.model.mapping.motion_space import sampled_frames
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.numerics.surface.surface_places import nearest_places
 from usdface.runner.outputs import confine
 from usdface.steps.inputs.marker_lines import lines_on_rig
@@ -70,7 +69,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         ),
     )
     rest = equation.virtual.places(deformer.neutral)
-    motion = character_motion(equation.virtual, references.markers, references.neutral)
+    motion = equation.motion(references.markers)
     return MarkerTargets(
         names=references.marker_names,
         rest=rest.astype(np.float32),

@@ -58,6 +58,17 @@ def test_finds_known_markers_without_landmarks(face, skin, actor, placed):
     assert not placed.by_labels
 
 
+def test_a_head_band_that_slips_does_not_move_the_markers(face, skin, actor, placed):
+    rng = np.random.default_rng(1)
+    turns, moves = rng.normal(0, 0.02, (len(actor.positions), 3)), rng.normal(0, 3, (3, 1, 1, 3))
+    moves = np.repeat(moves, -(-len(actor.positions) // 3), axis=0).reshape(-1, 1, 3)
+    away = np.cross(turns[:, None], actor.neutral - actor.neutral.mean(axis=0))
+    slipped = actor.positions + away + moves[: len(actor.positions)]
+    assert np.median(errors(face, actor, place(skin, actor.neutral, slipped))) < 1.2 * np.median(
+        errors(face, actor, placed)
+    )
+
+
 def test_weights_are_followed_from_samples_nearby(skin, actor, placed):
     moved = character_motion(placed.virtual, actor.positions, actor.neutral) @ skin.frame.T
     ranges = np.tile([0.0, 1.0], (len(skin.deltas), 1))

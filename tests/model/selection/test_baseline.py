@@ -11,7 +11,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.core.deformer import Deformer
 from usdface.model.retarget.cyclic import SurfaceMetric
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.numerics.registration.virtual_markers import VirtualMarkers
+from usdface.numerics.registration.virtual_markers import VirtualMarkers, find_pose_errors
 from usdface.numerics.solve.blendshape_equation import MarkerKeys
 from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 
@@ -79,6 +79,25 @@ def test_what_is_proposed_for_a_pose_is_that_pose() -> None:
     weights = np.random.default_rng(1).random((20, 3))
     proposed = equation.propose(equation.neutral + shapes.offsets(weights))
     assert np.abs(proposed - weights).max() < 0.05
+
+
+def test_errors_of_poses_are_removed_from_proposals_and_residuals() -> None:
+    quarter = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    equation, shapes = bent_equation(scale=1.4, turn=quarter)
+    rng = np.random.default_rng(1)
+    weights = rng.random((200, 3))
+    still = equation.neutral + shapes.offsets(weights) @ quarter / 1.4
+    turns, moves = rng.normal(0, 0.03, (200, 1, 3)), rng.normal(0, 2, (200, 1, 3))
+    slipped = still + np.cross(turns, equation.neutral - equation.neutral.mean(axis=0)) + moves
+    seen = np.ones(slipped.shape[:2], np.bool_)
+    errors = find_pose_errors(
+        equation.virtual, equation.deltas, equation.neutral, slipped, visible=seen, rigid=()
+    )
+    corrected = replace(equation, pose_errors=errors)
+    wrong, found = (np.abs(e.propose(slipped) - weights).mean() for e in (equation, corrected))
+    assert found < 0.5 * wrong
+    wrong, found = (e.residual_mm(slipped, weights).mean() for e in (equation, corrected))
+    assert found < 0.5 * wrong
 
 
 def key_weights_of_shares(shapes: BlendShapes, end: float, weights: np.ndarray) -> np.ndarray:

@@ -9,10 +9,10 @@ from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace
-from usdface.model.mapping.pose_error import PoseErrors
 from usdface.model.mapping.take_neutral import TakeNeutral, compare_neutral
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
+from usdface.numerics.rigid.pose_error import PoseErrors
 from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 MINIMUM_SHARE = 0.5
@@ -319,3 +319,12 @@ def _robust_transform(points: FloatArray, target: FloatArray) -> tuple[FloatArra
         residual = np.linalg.norm((points - centre) @ rotation.T - (target - target_centre), axis=1)
         weights = 1 / (1 + (residual / _SLIP_MM) ** 2) ** 2
     return rotation, target_centre - rotation @ centre
+
+
+def pose_error_note(subject: str, size_mm: float) -> str:
+    """Return a note on removed errors, of a take or of references."""
+    return (
+        f"the head still moves in {subject}: by {size_mm:.1f} mm (root mean square), as if the "
+        "rigid markers had slipped or sat on skin. The face shows it, so it is removed; look at "
+        "the choice of rigid markers (`usdface clean --rigid`)"
+    )

@@ -14,6 +14,7 @@ from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.regression.pca import PCA, fit_pca, pca_from_moments, project, sum_moments
+from usdface.numerics.rigid.pose_error import PoseErrors
 
 _Positions = NDArray[np.float32] | NDArray[np.float64]
 
@@ -122,6 +123,21 @@ def motion_of_pairs(references: References) -> MotionSpace:
 def sampled_frames(motion: MotionSpace) -> FloatArray:
     """Return the sample of a motion space, (frames, markers, 3) [mm]."""
     return (motion.mean + motion.sample @ motion.components).reshape(len(motion.sample), -1, 3)
+
+
+def motion_without_errors(motion: MotionSpace, errors: PoseErrors) -> MotionSpace:
+    """Return the motion space of its sample without errors of poses."""
+    if not errors.size_mm:
+        return motion
+    frames = sampled_frames(motion)
+    rows = errors.remove(frames, np.ones(frames.shape[:2], np.bool_)).reshape(len(frames), -1)
+    pca = fit_pca(rows, dimensions=len(motion.variances))
+    unexplained = motion.total_variance - float(motion.variances.sum())
+    return replace(
+        motion_from_pca(pca, rows),
+        total_variance=pca.total_variance + unexplained,
+        sample_starts=motion.sample_starts,
+    )
 
 
 def thinned_sample(motion: MotionSpace) -> FloatArray:

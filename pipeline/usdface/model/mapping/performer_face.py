@@ -8,7 +8,7 @@ from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.motion_space import thinned_sample
-from usdface.model.mapping.pose_error import ExpressionMotion
+from usdface.numerics.rigid.pose_error import ExpressionMotion
 
 
 @dataclass(frozen=True)

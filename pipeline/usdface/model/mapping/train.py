@@ -25,10 +25,10 @@ from usdface.model.mapping.motion_space import (
     marker_coordinates,
     motion_arrays,
     motion_of_pairs,
+    motion_without_errors,
     sampled_frames,
 )
 from usdface.model.mapping.pair_gains import mean_gains
-from usdface.model.mapping.pose_error import expression_motion
 from usdface.model.mapping.regions import (
     membership,
     region_grams,
@@ -55,6 +55,7 @@ from usdface.numerics.measure.face_regions import (
     shapes_by_region,
     tongue_shapes,
 )
+from usdface.numerics.rigid.pose_error import expression_motion
 
 _TONGUE_SHARE = 0.2
 """Points that shapes of the tongue move by more than this, relative to their largest displacement,
@@ -207,7 +208,7 @@ def _remove_pose_errors(
             break
     return (
         replace(references, markers=markers),
-        replace(face, motion=errors.remove_from_motion(face.motion)),
+        replace(face, motion=motion_without_errors(face.motion, errors)),
         expressions.to_arrays(),
         errors.size_mm,
     )

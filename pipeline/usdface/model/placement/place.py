@@ -19,7 +19,13 @@ from usdface.model.placement.placement_candidates import (
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, KnownPlace
-from usdface.numerics.registration.virtual_markers import VirtualMarkers
+from usdface.numerics.registration.virtual_markers import (
+    LARGEST_NOISE_SCALE,
+    VirtualMarkers,
+    certain_errors,
+    find_pose_errors,
+)
+from usdface.numerics.rigid.pose_error import PoseErrors
 
 FEWEST_PINS = 3
 """Fewest given places that determine an alignment."""
@@ -34,6 +40,15 @@ _IMAGE_SKIN_SHARE = 0.01
 """Factor on the skin's precision for landmarks detected in images. Two hundred of them follow the
 same detected surface: at full weight, the rows of both lids slide along the rig's, 8 mm apart on
 the two sides of a symmetric face."""
+
+
+_POSE_ROUNDS = 3
+"""Alternations of placing the markers and removing errors of the takes' poses, as of a head band
+that slips: after the second, markers move by less than their distance."""
+
+_FALLING_SHARE = 0.9
+"""Share of the residuals' variance to which a new placement without the errors lowers it: where it
+does not, what the placement did not explain had been taken for an error."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +75,8 @@ def place_markers(
 ) -> MarkerPlacement:
     """Return the position of each marker on a rig's skin.
 
+    Errors of the takes' poses are removed from the motion; see `pose_error`.
+
     Parameters
     ----------
     shapes : tuple of str
@@ -75,9 +92,71 @@ def place_markers(
         If neither labels, landmarks nor motion determine a placement.
     """
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
+    placement, samples = _place(cloud, skin, shapes, limits, pinned or {})
+    errors = _pose_errors(cloud, skin, placement.virtual, samples)
+    for _ in range(_POSE_ROUNDS):
+        if errors is None or not errors.possible_mm:
+            break
+        if not errors.size_mm and errors.noise_scale < LARGEST_NOISE_SCALE:
+            break
+        corrected = _without(replace(errors, size_mm=errors.possible_mm), cloud)
+        other, samples = _place(corrected, skin, shapes, limits, pinned or {})
+        found = _pose_errors(cloud, skin, other.virtual, samples)
+        if found is None or found.noise_scale > _FALLING_SHARE * errors.noise_scale:
+            break
+        placement, errors = other, found
+    return placement
+
+
+def without_pose_errors(
+    cloud: MarkerCloud, skin: FaceSkin, virtual: VirtualMarkers, samples: IntArray
+) -> MarkerCloud:
+    """Return a cloud without errors of the takes' poses; the same if none are certain.
+
+    Parameters
+    ----------
+    samples : (markers,) int array
+        Samples of the skin at which the markers are.
+    """
+    errors = _pose_errors(cloud, skin, virtual, samples)
+    return cloud if errors is None else _without(certain_errors(errors), cloud)
+
+
+def _without(errors: PoseErrors, cloud: MarkerCloud) -> MarkerCloud:
+    if cloud.motion is None:
+        return cloud
+    positions = cloud.neutral + cloud.motion
+    corrected = errors.remove(positions, np.ones(positions.shape[:2], np.bool_))
+    return replace(cloud, motion=corrected - cloud.neutral)
+
+
+def _pose_errors(
+    cloud: MarkerCloud, skin: FaceSkin, virtual: VirtualMarkers, samples: IntArray
+) -> PoseErrors | None:
+    """Return the errors of the poses if the markers are at these samples; None without motion."""
+    if cloud.motion is None:
+        return None
+    positions = cloud.neutral + cloud.motion
+    return find_pose_errors(
+        virtual,
+        skin.deltas[:, samples] @ skin.frame,
+        cloud.neutral,
+        positions,
+        visible=np.ones(positions.shape[:2], np.bool_),
+        rigid=np.flatnonzero(cloud.still).tolist(),
+    )
+
+
+def _place(
+    cloud: MarkerCloud,
+    skin: FaceSkin,
+    shapes: tuple[str, ...],
+    limits: FloatArray,
+    pinned: dict[int, FloatArray],
+) -> tuple[MarkerPlacement, IntArray]:
     unit = skin.size_mm / TYPICAL_SIZE_MM
     landmarks = find_landmarks(skin, shapes)
-    pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in (pinned or {}).items()}
+    pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in pinned.items()}
     known = places_by_labels(cloud, landmarks, unit, without=pins)
     given = [KnownPlace((marker,), at, _PIN_SPREAD_MM * unit) for marker, at in pins.items()]
     inputs = PlacementInputs(
@@ -105,7 +184,7 @@ def place_markers(
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
     virtual = _virtual_markers(inputs, candidate, samples)
-    return MarkerPlacement(virtual, named, candidate.overturned_gain)
+    return MarkerPlacement(virtual, named, candidate.overturned_gain), samples
 
 
 def _lift_above_lid_margins(

@@ -10,7 +10,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few, pluralize
 from usdface.model.placement.known_places import places_by_labels
 from usdface.model.placement.marker_cloud import MarkerCloud
-from usdface.model.placement.place import FEWEST_PINS
+from usdface.model.placement.place import FEWEST_PINS, without_pose_errors
 from usdface.model.placement.region_shapes import words_on_missing_shapes
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
@@ -121,6 +121,7 @@ def judge_placement(
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
     reasons.append(_on_neck(cloud.labels, local, landmarks))
     explained = float("nan")
+    cloud = without_pose_errors(cloud, skin, virtual, samples)
     if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
         weights = solve_weights_at(skin, samples, moved, ranges)

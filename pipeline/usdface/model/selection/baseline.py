@@ -20,9 +20,12 @@ from usdface.model.placement.place import place_markers
 from usdface.model.selection.lid_evidence import LidEvidence, find_lid_evidence
 from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
+    certain_errors,
     character_motion,
+    find_pose_errors,
     marker_deltas,
 )
+from usdface.numerics.rigid.pose_error import PoseErrors
 from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.blendshape_equation import (
     EquationSolution,
@@ -67,9 +70,16 @@ class BlendshapeEquation:
     """None to solve blinks as any shape."""
     unplaced: tuple[int, ...] = ()
     """Markers without a place on the character: they have no residual."""
+    pose_errors: PoseErrors | None = None
 
-    def motion(self, positions: Positions) -> FloatArray:
-        """Return displacements from the neutral in the character's space and size [mm]."""
+    def motion(self, positions: Positions, visible: BoolArray | None = None) -> FloatArray:
+        """Return displacements from the neutral in the character's space and size [mm].
+
+        Errors of poses are removed.
+        """
+        if self.pose_errors is not None:
+            seen = np.ones(positions.shape[:2], np.bool_) if visible is None else visible
+            positions = self.pose_errors.remove(positions, seen)
         return character_motion(self.virtual, positions, self.neutral)
 
     def solve_published(
@@ -79,7 +89,7 @@ class BlendshapeEquation:
 
         Deng et al. 2006, eq. 7: the comparison of the paper. Parameters are those of `propose`.
         """
-        motion = self.motion(positions)
+        motion = character_motion(self.virtual, positions, self.neutral)
         placed = np.ones(len(self.neutral))
         placed[list(self.unplaced)] = 0.0
         return solve_least_squares(self.deltas, motion, visible=visible, marker_trust=placed)
@@ -111,7 +121,7 @@ class BlendshapeEquation:
     def _solve(
         self, positions: Positions, visible: BoolArray | None, limits: FloatArray
     ) -> EquationSolution:
-        motion = self.motion(positions)
+        motion = self.motion(positions, visible)
         fixed = [] if self.lids is None else list(self.lids.fixed)
         limits[fixed] = np.clip(0.0, limits[fixed, 0], limits[fixed, 1])[:, None]
         full = range_ends(self.ranges)  # the ridge is for weights of 1 where a shape is full
@@ -142,7 +152,7 @@ class BlendshapeEquation:
         """
         counted = np.ones(positions.shape[:2], np.bool_) if visible is None else visible.copy()
         counted[:, [*self.unplaced, *without]] = False
-        squared = ((self.motion(positions) - self._moved(weights)) ** 2).sum(axis=2)
+        squared = ((self.motion(positions, visible) - self._moved(weights)) ** 2).sum(axis=2)
         total = np.where(counted, squared, 0.0).sum(axis=1)
         return np.asarray(np.sqrt(total / np.maximum(counted.sum(axis=1), 1)))
 
@@ -220,8 +230,13 @@ def equation_at(
     )
     trust = np.ones(len(neutral))
     trust[list(performer.rigid)] = 0.0
-    motion = character_motion(virtual, positions[picks], neutral)
     full = range_ends(rig.ranges)[:, None, None] * deltas
+    errors = certain_errors(
+        find_pose_errors(
+            virtual, full, neutral, positions[picks], visible=visible[picks], rigid=performer.rigid
+        )
+    )
+    motion = character_motion(virtual, errors.remove(positions[picks], visible[picks]), neutral)
     lids = find_lid_evidence(
         rig.shapes,
         deformer.full_offsets(),
@@ -239,7 +254,7 @@ def equation_at(
         marker_trust=trust,
     )
     equation = BlendshapeEquation(
-        virtual, deltas, keys, neutral, rig.ranges, trust, gain, lids=lids
+        virtual, deltas, keys, neutral, rig.ranges, trust, gain, lids=lids, pose_errors=errors
     )
     few = picks[:: -(-len(picks) // _NOISE_FRAMES)]
     equation = replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
@@ -255,7 +270,7 @@ def _turn_skin(
     turned = skin_rotations(
         equation.neutral,
         equation._moved(weights),
-        equation.motion(positions),
+        equation.motion(positions, visible),
         visible=visible & (equation.trust > 0),
     )
     keys = replace(equation.keys, deltas=rotate_deltas(equation.keys.deltas, turned))

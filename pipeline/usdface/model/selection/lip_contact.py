@@ -14,7 +14,6 @@ from usdface.core.deformer import Deformer
 from usdface.model.selection.baseline import BlendshapeEquation, Positions
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
 from usdface.numerics.measure.performance_error import LipPairs, find_lip_pairs
-from usdface.numerics.registration.virtual_markers import character_motion
 
 NEAR_LIPS_MM = 15.0
 """Largest distance of a lip marker from the line of contact."""
@@ -95,7 +94,7 @@ def keep_lip_contact(
         Stabilised [mm].
     weights : (frames, shapes) float array
     """
-    motion = character_motion(equation.virtual, positions, equation.neutral)
+    motion = equation.motion(positions)
     direction = lips.pairs.direction
     parted = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
     closed = np.flatnonzero(parted < CONTACT_MM)

@@ -18,9 +18,13 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import counted, first_few, pluralize
-from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
+from usdface.model.mapping.head_space import (
+    MINIMUM_SHARE,
+    HeadSpace,
+    MappedMarkers,
+    pose_error_note,
+)
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.pose_error import pose_error_note
 from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights

@@ -15,8 +15,8 @@ from usdface.core.sidecars import proposed_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
 from usdface.media.picture.image import write_image
+from usdface.model.mapping.head_space import pose_error_note
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
-from usdface.model.mapping.pose_error import pose_error_note
 from usdface.model.mapping.regions import offsets_at, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping

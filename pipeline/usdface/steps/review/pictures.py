@@ -26,7 +26,6 @@ from usdface.media.picture.color import BLUE, BRIGHT, ORANGE
 from usdface.media.picture.image import DisplayView
 from usdface.media.picture.sheet import Tile
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.steps.inputs.marker_lines import lines_on_rig, marker_lines
 from usdface.steps.review.shot import Shot, ShotCamera
 
@@ -148,7 +147,7 @@ class ShotPictures:
         still = shot.motion is None or not shot.motion.moves_as_one  # markers ignore joints
         picture = self.face(row, shot.weights[row], still=still)
         posed = shot.deformer.points(shot.weights[row][None])[0]
-        motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]
+        motion = equation.motion(shot.positions[row][None])[0]
         seen = equation.virtual.places(shot.deformer.neutral) + motion
         both = np.stack([equation.virtual.places(posed), seen])
         if not still and shot.motion is not None:

@@ -21,7 +21,6 @@ from usdface.media.page.report_page import (
 )
 from usdface.model.review.moments import ReviewSignals
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.runner.outputs import confine
 from usdface.specs.notes import read_notes
 from usdface.specs.review import ReportSpec
@@ -100,7 +99,7 @@ def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None
     if not len(shown):
         return None
     rows = shot.frames - shot.take.first_frame
-    motion = character_motion(equation.virtual, shot.positions, equation.neutral)[:, shown]
+    motion = equation.motion(shot.positions)[:, shown]
     known = markers.visible[rows] | (markers.confidence[rows] > 0)
     motion = np.where(known[:, shown, None], motion, np.nan)
     names = tuple(markers.names[i] for i in shown.tolist())

@@ -22,7 +22,6 @@ from usdface.model.review.moments import (
 from usdface.model.review.verdict import SolveEvidence
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
-from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.specs.review import FramePick
 from usdface.steps.inputs.placement import placed_equation, placement_of_performance
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -86,7 +85,7 @@ class ShotMetric:
 
 def lip_gaps(shot: Shot, equation: BlendshapeEquation, lips: Lips) -> FloatArray:
     """Return the lip distance where the performer's lips are closed, else 0: (frames,) [mm]."""
-    motion = character_motion(equation.virtual, shot.positions, equation.neutral)
+    motion = equation.motion(shot.positions)
     direction = lips.pairs.direction
     captured = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
     estimate = np.where(captured < CONTACT_MM, shot.weights[:, lips.columns] @ lips.opening, 0.0)

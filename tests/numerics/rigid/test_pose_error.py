@@ -12,13 +12,13 @@ from tests.model.synthetic import (
     synthetic_face,
 )
 from usdface.core.assets import MotionSpace, TrainedMapping
-from usdface.model.mapping import pose_error
 from usdface.model.mapping.head_space import find_head_space
-from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.motion_space import fit_motion_space, motion_without_errors
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.pose_error import ExpressionMotion, expression_motion
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
+from usdface.numerics.rigid import pose_error
+from usdface.numerics.rigid.pose_error import ExpressionMotion, expression_motion
 
 SHAPES, MARKERS, FRAMES = 8, 30, 400
 BAND = np.arange(26, MARKERS)
@@ -143,7 +143,7 @@ def test_expected_motion_is_that_of_random_weights() -> None:
 def test_motion_space_is_that_of_the_frames_without_errors() -> None:
     weights, _, moved = acted(0.02, 1.5)
     errors = model(weights).find_errors(moved, SEEN)
-    changed = errors.remove_from_motion(space_of(moved))
+    changed = motion_without_errors(space_of(moved), errors)
     expected = space_of(errors.remove(moved, SEEN))
     np.testing.assert_allclose(changed.mean, expected.mean, atol=1e-6)
     assert changed.total_variance == pytest.approx(expected.total_variance)

@@ -16,7 +16,7 @@ small, or not much larger than the posterior covariance: a constant error alone 
 `take_neutral`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -31,9 +31,6 @@ from usdface.core.arrays import (
     frame_blocks,
     sample_frames,
 )
-from usdface.core.assets import MotionSpace
-from usdface.model.mapping.motion_space import motion_from_pca, sampled_frames
-from usdface.numerics.regression.pca import fit_pca
 
 _UNIFORM_VARIANCE = 1 / 12
 """Variance of a weight in [0, 1] of which nothing is known."""
@@ -145,10 +142,10 @@ class ExpressionMotion:
         found = self.likelihood(positions - offset, visible)
         scale = max(float(found.chi2.mean()) / _USUAL_CHI2, 1.0)
         mean, covariance, posterior = _maximise(found.information / scale, found.score / scale)
-        size, unknown = self._size_mm(covariance), self._size_mm(posterior)
-        if size < max(_LEAST_MM, _LEAST_RATIO * unknown) or len(positions) < _FEWEST_FRAMES:
-            size = 0.0
-        return PoseErrors(self, offset, scale, mean, covariance, size)
+        possible, unknown = self._size_mm(covariance), self._size_mm(posterior)
+        found = len(positions) >= _FEWEST_FRAMES and possible >= _LEAST_MM
+        possible, size = possible * found, possible * (found and possible >= _LEAST_RATIO * unknown)
+        return PoseErrors(self, offset, scale, mean, covariance, possible, size)
 
     def _size_mm(self, covariance: FloatArray) -> float:
         """Return the root mean square displacement of the markers by p [mm]."""
@@ -215,8 +212,10 @@ class PoseErrors:
     """(6,): m [rad, mm]."""
     covariance: FloatArray
     """(6, 6): S."""
+    possible_mm: float
+    """Root mean square displacement of the markers from that by m [mm]."""
     size_mm: float
-    """Root mean square displacement of the markers from that by m; 0 if nothing is removed [mm]."""
+    """The same; 0 if it may be expressions, and nothing is removed [mm]."""
 
     @property
     def mean_transform(self) -> tuple[FloatArray, FloatArray]:
@@ -241,20 +240,6 @@ class PoseErrors:
         moved[:, at_rest] = self.expressions.neutral[at_rest]
         return moved
 
-    def remove_from_motion(self, motion: MotionSpace) -> MotionSpace:
-        """Return the motion space of its sample without the errors."""
-        if not self.size_mm:
-            return motion
-        frames = sampled_frames(motion)
-        rows = self.remove(frames, np.ones(frames.shape[:2], np.bool_)).reshape(len(frames), -1)
-        pca = fit_pca(rows, dimensions=len(motion.variances))
-        unexplained = motion.total_variance - float(motion.variances.sum())
-        return replace(
-            motion_from_pca(pca, rows),
-            total_variance=pca.total_variance + unexplained,
-            sample_starts=motion.sample_starts,
-        )
-
 
 def expression_motion(
     basis: FloatArray, weights: FloatArray, neutral: FloatArray, *, rigid: IntArray
@@ -278,16 +263,9 @@ def expression_motion(
     motion2 = (rows**2).sum(axis=0).reshape(len(neutral), 3).mean(axis=1)
     # Each shape times a random 3 x 3 matrix: other directions and proportions.
     sized = _SHAPE_DEPARTURE * np.sqrt(np.diag(moment))[:, None, None] * basis
-    turned = np.einsum("smc,ad->scamd", sized, np.eye(3)).reshape(9 * count, -1)
-    _, size, directions = np.linalg.svd(np.concatenate([rows, turned]), full_matrices=False)
-    components = (size[:, None] * directions)[:_COMPONENT_COUNT].reshape(-1, *basis.shape[1:])
+    turned = np.kron(np.tensordot(sized, sized, ((0, 2), (0, 2))), np.eye(3))
+    variances, directions = np.linalg.eigh(rows.T @ rows + turned)
+    kept = slice(-1, -1 - _COMPONENT_COUNT, -1)
+    size = np.sqrt(np.maximum(variances[kept], 0.0))
+    components = (size * directions[:, kept]).T.reshape(-1, *basis.shape[1:])
     return ExpressionMotion(neutral, components, motion2, np.isin(np.arange(len(neutral)), rigid))
-
-
-def pose_error_note(subject: str, size_mm: float) -> str:
-    """Return a note on removed errors, of a take or of references."""
-    return (
-        f"the head still moves in {subject}: by {size_mm:.1f} mm (root mean square), as if the "
-        "rigid markers had slipped or sat on skin. The face shows it, so it is removed; look at "
-        "the choice of rigid markers (`usdface clean --rigid`)"
-    )
