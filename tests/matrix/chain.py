@@ -80,7 +80,7 @@ edit face_map.usda --shape {set} --override 0.5 --frames {low}-{high}
 edits list face_map.usda
 bake face_map.usda --out baked.usdc
 edits import face_map.usda --changed baked.usdc
-evaluate face_map.usda --against baked.usdc --max-weight-rmse 1e-6
+evaluate face_map.usda --against baked.usdc --out baked.json
 references from-edits face_map.usda --references r.references.usda --out r2.references.usda
 references add face_map.usda --references r.references.usda --frames {new} --out r3.references.usda
 train r3.references.usda --method face_map --out again.usdc
@@ -195,6 +195,8 @@ def run_chain(folder: Path, case: Case) -> tuple[Studio, Weights]:
     new = min({*range(studio.first, studio.last + 1)} - {*after.frames.tolist()})
     studio.run(EDIT, new=new)
     check_edits(studio, case, solve)
+    baked = json.loads((studio / "baked.json").read_text(encoding="utf-8"))
+    assert baked["weight_rmse"] < 1e-6
     studio.run("\n".join(f"validate {layer}" for layer in LAYERS))
     return studio, solve
 

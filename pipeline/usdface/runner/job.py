@@ -50,7 +50,7 @@ class JobEvents:
     started: Callable[[JobStep], None] = _ignore
     """Before a step runs; not for steps that are up to date."""
     ended: Callable[[JobStep, StepResult], None] = _ignore
-    """After a step, also if it is up to date or one of its checks failed."""
+    """After a step, also if it is up to date."""
 
 
 def run_job(
@@ -99,7 +99,6 @@ def run_job(
                     provenance=step.provenance,
                 )
             events.ended(step, report)
-            report.require_success()
         except CancelledError:
             raise
         except UsdfaceError as error:

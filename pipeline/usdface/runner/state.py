@@ -163,8 +163,6 @@ def step_state(spec: Spec, provenance: Provenance) -> StepState:
             )
         if made is None or made.step != provenance.step:
             return StepState(spec, "stale", f"{path.name} was not made by {provenance.step}")
-        if not made.spec:
-            return StepState(spec, "stale", f"{path.name} is of a run that failed a check")
         if made.spec != provenance.spec:
             changes = _changed_settings(spec_of(made), spec_of(provenance))
             return StepState(spec, "stale", f"{path.name} was made with other options: {changes}")

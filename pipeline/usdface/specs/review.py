@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from usdface.specs.base import MovedRigSpec, Name, OnlyWith, Positional, Spec, WeightTableSpec
+from usdface.specs.base import MovedRigSpec, OnlyWith, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     PRIM_PATTERN,
     ChosenFrames,
@@ -269,8 +269,6 @@ class FacesSpec(Spec):
 VerdictLevel = Literal["good", "check", "bad"]
 """Levels of a verdict: Good, Check, Do not use."""
 
-Limit = Annotated[float, Field(ge=0.0)]
-
 
 class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     """Measure the error of a performance against keys or another performance.
@@ -278,14 +276,22 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     Measures, for the whole face, per region and per shape: the error of the surface in mm, the
     error of the weights, the error of the lip distance, the error of blinks at their peaks, and
     jitter. Gaze and tongue, which markers cannot show, are reported separately; the JSON's
-    `vertex_*` include them. Exit code 1 if a limit is exceeded, so that a farm can block a publish.
+    `vertex_*` include them.
     """
 
-    example = (
-        "usdface evaluate kitchen.hero.usda --against animator.csv --out kitchen.error.json "
-        "--max-vertex-rms 0.5"
-    )
+    example = "usdface evaluate kitchen.hero.usda --against animator.csv --out kitchen.error.json"
     module = "review.evaluate"
+    removed: ClassVar[Mapping[str, str]] = {
+        f"max_{limit}": f"compare {figure} in the .json of --out with your limit"
+        for limit, figure in (
+            ("weight_rmse", "weight_rmse"),
+            ("vertex_rms", "skin_rms_mm"),
+            ("vertex_p95", "skin_p95_mm"),
+            ("lip_error", "lip_error_mm"),
+            ("blink_bias", "blink_bias"),
+            ("jitter", "jitter"),
+        )
+    } | {"unobservable": "gaze and tongue are recognised by name, or by the points they move"}
 
     step: Literal["evaluate"] = "evaluate"
     performance: Annotated[FilePath, Reads(), Positional()]
@@ -297,18 +303,3 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     """Files to write: .json for the figures, .png or .jpg for the curves. May be given twice."""
     frames: Frames | None = None
     """Frames to measure, as FIRST-LAST. Default: all."""
-    unobservable: tuple[Name, ...] | None = None
-    """Shapes that markers cannot show, excluded from the error of the weights. * matches any
-    characters. Default: gaze and tongue, recognised by name or by the points they move."""
-    max_weight_rmse: Limit | None = None
-    """Limit of the root mean square error of the weights."""
-    max_vertex_rms: Limit | None = None
-    """Limit of the root mean square error of the surface, without gaze and tongue, in mm."""
-    max_vertex_p95: Limit | None = None
-    """Limit of the 95th percentile over frames of that error, in mm."""
-    max_lip_error: Limit | None = None
-    """Limit of the root mean square error of the lip distance, in mm."""
-    max_blink_bias: Limit | None = None
-    """Limit of the mean error of blink weights at their peaks, in either direction."""
-    max_jitter: Limit | None = None
-    """Limit of the jitter relative to that of the keys: 1 is equal."""

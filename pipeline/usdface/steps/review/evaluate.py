@@ -1,6 +1,6 @@
 """Measure the error of a performance against keys."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from usdface.steps.review.evaluation_tables import (
     evaluation_page,
     evaluation_summary,
     evaluation_table,
-    failures,
-    shapes_with_motion,
 )
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.reference import read_rig_of_stage
@@ -52,14 +50,6 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> St
         spec.against, known=rig.shapes, unit=spec.weight_unit, take=take_name(spec.performance)
     )
     comparison = _compare(spec, performance, given, rig)
-    observable, notes = None, list[str]()
-    if spec.unobservable is not None:
-        observable = shapes_with_motion(rig.shapes, spec.unobservable)
-        notes = [
-            f"--unobservable {pattern} matches no shape of the rig"
-            for pattern in spec.unobservable
-            if shapes_with_motion(rig.shapes, [pattern]).all()
-        ]
     progress(0.4, "measuring")
     evaluation = evaluate_weights(
         rig,
@@ -67,19 +57,16 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> St
         comparison.truth,
         frames=comparison.frames,
         compared=comparison.compared,
-        observable=observable,
     )
     figures = evaluation_figures(evaluation)
-    failed = failures(spec, figures)
     progress(0.8, "writing")
-    _write(spec, evaluation, figures, failed, provenance)
+    _write(spec, evaluation, figures, provenance)
     return StepResult(
         spec.out,
         evaluation_summary(evaluation),
-        (*comparison.notes, *notes),
+        comparison.notes,
         figures,
         table=evaluation_table(evaluation),
-        failures=tuple(f"{spec.performance}: {each}" for each in failed),
     )
 
 
@@ -153,18 +140,15 @@ def _write(
     spec: EvaluateSpec,
     evaluation: Evaluation,
     figures: dict[str, object],
-    failed: tuple[str, ...],
     provenance: Provenance,
 ) -> None:
-    # Without a spec, failed results are never up to date, so that a job fails again.
-    made = (replace(provenance, spec="") if failed else provenance).metadata
+    made = provenance.metadata
     for path in spec.out:
         if path.suffix.lower() == ".json":
             data = {
                 "performance": str(spec.performance),
                 "against": str(spec.against),
                 **figures,
-                "failures": list(failed),
                 "provenance": made,
             }
             write_text(path, json_text(data))

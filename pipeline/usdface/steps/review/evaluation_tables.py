@@ -1,41 +1,20 @@
 """An evaluation as lines of text, plain data and a picture's contents."""
 
 import math
-from collections.abc import Mapping, Sequence
-from fnmatch import fnmatchcase
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.text import pluralize
 from usdface.media.charts.evaluation import EvaluationPage, ShapeBar
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.evaluation import Evaluation
 from usdface.model.mapping.regions import FACE
-from usdface.model.retarget.shape_names import read_meanings
 from usdface.model.review.verdict import SolveEvidence, judge_solve
 from usdface.numerics.measure.performance_error import SurfaceError
-from usdface.specs.review import EvaluateSpec
 
 WORST_FRAMES = 8
 WORST_SHAPES = 10
-
-
-def shapes_with_motion(shapes: Sequence[str], unobservable: Sequence[str]) -> BoolArray:
-    """Return which shapes markers can show: those that match no pattern.
-
-    Patterns match the shape's name and, if its meaning is known, ARKit's name of the motion.
-    """
-    meanings = read_meanings(shapes)
-    aliases = [
-        (name.lower(), *([meanings[name].motion] if meanings[name].understood else []))
-        for name in shapes
-    ]
-    hidden = [
-        any(fnmatchcase(each, pattern.lower()) for each in names for pattern in unobservable)
-        for names in aliases
-    ]
-    return np.logical_not(np.array(hidden, dtype=np.bool_))
 
 
 def evaluation_summary(evaluation: Evaluation) -> str:
@@ -185,28 +164,6 @@ def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
             for column in _by_surface(evaluation)
         ),
     )
-
-
-def failures(spec: EvaluateSpec, figures: Mapping[str, object]) -> tuple[str, ...]:
-    """Return a message for each limit that is exceeded, or whose figure is unknown."""
-    limits = (
-        ("weight_rmse", "error of the weights", spec.max_weight_rmse, ""),
-        ("skin_rms_mm", "error of the surface", spec.max_vertex_rms, " mm"),
-        ("skin_p95_mm", "95th percentile of the surface's error", spec.max_vertex_p95, " mm"),
-        ("lip_error_mm", "error of the distance of the lips", spec.max_lip_error, " mm"),
-        ("blink_bias", "error of blinks at their peaks", spec.max_blink_bias, ""),
-        ("jitter", "jitter", spec.max_jitter, ""),
-    )
-    found = []
-    for name, label, limit, unit in limits:
-        value = figures[name]
-        if limit is None:
-            continue
-        if not isinstance(value, float):
-            found.append(f"{label} is limited to {limit:g}{unit} but cannot be measured here")
-        elif abs(value) > limit:
-            found.append(f"{label} is {value:.4g}{unit}, more than {limit:g}{unit}")
-    return tuple(found)
 
 
 def worst_frames(evaluation: Evaluation) -> tuple[int, ...]:
