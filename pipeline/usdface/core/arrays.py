@@ -166,11 +166,6 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
-def longest_run(mask: BoolArray) -> int:
-    """Return the length of the longest run of True."""
-    return max((stop - start for start, stop in runs(mask)), default=0)
-
-
 def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) -> Iterator[slice]:
     """Yield the frames of a take in blocks, which bounds the memory of intermediate arrays.
 

@@ -1,5 +1,6 @@
 """Specs of capture: ingest, track, align, clean, phones."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -290,6 +291,9 @@ class CleanSpec(Spec):
     sidecars = (samples_path,)
     cores = 2
     memory_mib = 4096
+    removed: ClassVar[Mapping[str, str]] = {
+        "report": "the notes list the repairs, and `usdface report` shows repaired samples by frame"
+    }
 
     step: Literal["clean"] = "clean"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -306,8 +310,6 @@ class CleanSpec(Spec):
     """Longest gap to fill, in frames. Default: 2 seconds. Longer gaps keep confidence 0."""
     relabel: bool = True
     """Correct swapped labels and mistracked markers; not of landmarks, which a model names."""
-    report: ImageOut | None = None
-    """Picture of the repairs to write, per marker over time."""
     smooth: bool = True
     """Reduce noise, by the level measured in the take. The height of blinks is preserved."""
 

@@ -1,1 +1,1 @@
-"""Charts of curves, coverage, errors and repairs."""
+"""Charts of curves, coverage and errors."""

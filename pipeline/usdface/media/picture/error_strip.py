@@ -92,7 +92,7 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
         if at - half > last_end + 3:
             draw_text(page, label, x=at, y=y + 2, style=number_style, anchor="middle")
             last_end = at + half
-    draw_frame_axis(
+    _draw_frame_axis(
         page, left, bottom + 4, inner, first_frame=strip.first_frame, count=count, scale=size
     )
 
@@ -120,7 +120,7 @@ def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> 
     area[filled] = np.broadcast_to(colors, area.shape)[filled]
 
 
-def draw_frame_axis(
+def _draw_frame_axis(
     page: ByteImage,
     left: int,
     top: int,
@@ -128,7 +128,7 @@ def draw_frame_axis(
     *,
     first_frame: int,
     count: int,
-    scale: float = 1.0,
+    scale: float,
 ) -> None:
     """Draw ticks at round frame numbers."""
     style = _AXIS_STYLE.scaled(scale)

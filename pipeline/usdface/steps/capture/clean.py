@@ -13,7 +13,6 @@ from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
-from usdface.media.picture.image import write_image
 from usdface.model.placement.label_hints import (
     are_image_landmarks,
     is_on_headgear,
@@ -28,7 +27,6 @@ from usdface.steps.capture.clean_notes import (
     cleaning_figures,
     cleaning_notes,
     cleaning_summary,
-    repair_picture,
 )
 from usdface.steps.inputs.cleaned_takes import check_neutral_frame
 from usdface.usdio.take.read import read_take
@@ -117,11 +115,8 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress) -> StepR
         head_motion=cleaned.head_motion,
     )
     write_take(spec.out, written, over=spec.take, provenance=provenance)
-    if spec.report is not None:
-        picture = repair_picture(cleaned, markers, take)
-        write_image(spec.report, picture, metadata=provenance.metadata)
     return StepResult(
-        tuple(dict.fromkeys((spec.out, samples_path(spec.out), *spec.paths_of("report")))),
+        tuple(dict.fromkeys((spec.out, samples_path(spec.out)))),
         cleaning_summary(cleaned, take),
         tuple(notes),
         cleaning_figures(cleaned, rigid),

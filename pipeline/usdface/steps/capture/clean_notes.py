@@ -1,25 +1,13 @@
-"""Notes, summary, figures and picture of the repairs of a cleaned take."""
+"""Notes, summary and figures of the repairs of a cleaned take."""
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, longest_run, runs
+from usdface.core.arrays import runs
 from usdface.core.assets import Markers, Take
 from usdface.core.text import first_few, frame_ranges, pluralize
-from usdface.media.charts.repair import RepairKind, draw_repairs
-from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.numerics.motion.noise import still_range_mm
 from usdface.numerics.repair.cleaning import CleanedMarkers
 from usdface.numerics.repair.slips import MOST_SLIP_MM
-
-_LANE_SECONDS = 0.05
-"""In the picture, markers with shorter repairs share a lane."""
-
-_CHECK_GAP_SECONDS, _BAD_SHARE = 0.5, 0.25
-"""Longest gap, the length of a word, and share of repaired samples, above which the verdict is
-worse."""
-
-POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
-OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
 _LISTED_SWAPS = 20
 """Repairs listed; further ones are counted."""
@@ -94,58 +82,6 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
             "markers, or is interpolated where few are seen"
         )
     return notes
-
-
-def repair_picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage:
-    """Draw the repairs per marker over time."""
-    swapped = np.zeros_like(cleaned.outliers)
-    for swap in cleaned.swaps:
-        swapped[swap.start : swap.stop, [swap.first, swap.second]] = True
-    by_face = np.zeros_like(cleaned.outliers)
-    by_face[cleaned.pose_confidence < 1.0] = True
-    kinds = (
-        RepairKind("head pose by the face", POSE_COLOR, by_face),
-        RepairKind("filled", FILLED_COLOR, cleaned.filled & ~cleaned.outliers),
-        RepairKind("relabelled", SWAPPED_COLOR, swapped),
-        RepairKind("outlier replaced", OUTLIER_COLOR, cleaned.outliers),
-        RepairKind("left missing", LEFT_COLOR, ~cleaned.visible),
-    )
-    return draw_repairs(
-        markers.names,
-        kinds,
-        title=f"{take.name}: repairs",
-        verdict=_repair_verdict(cleaned, markers, take),
-        facts=(
-            f"frames {take.first_frame}-{take.last_frame}",
-            f"{float(take.rate):g} fps",
-            f"{len(markers.names)} markers",
-            f"noise {cleaned.noise_mm:.2f} mm",
-        ),
-        first_frame=take.first_frame,
-        least_frames=max(int(_LANE_SECONDS * take.rate), 2),
-    )
-
-
-def _repair_verdict(cleaned: CleanedMarkers, markers: Markers, take: Take) -> tuple[str, str]:
-    """Return level and sentence of the verdict, by the share of repaired samples."""
-    filled, missing = cleaned.filled | cleaned.outliers, ~cleaned.visible
-    share = float((filled | missing).mean())
-    if not share and not cleaned.swaps:
-        return "good", f"{VERDICT_WORDS['good']}: nothing had to be repaired"
-    gaps = [longest_run(column) for column in (filled | missing).T]
-    widest = int(np.argmax(gaps))
-    seconds = gaps[widest] / float(take.rate)
-    words = [f"{share:.1%} of the samples were missing or wrong"]
-    if seconds:
-        words.append(f"the longest gap is {seconds:.2g} s, of {markers.names[widest]}")
-    if cleaned.swaps:
-        words.append(f"{pluralize(len(cleaned.swaps), 'label swap')} corrected")
-    if missing.any():
-        words.append(f"{missing.mean():.1%} left missing")
-    level = "good" if seconds <= _CHECK_GAP_SECONDS and not missing.any() else "check"
-    if share > _BAD_SHARE:
-        level = "bad"
-    return level, f"{VERDICT_WORDS[level]}: {'; '.join(words)}"
 
 
 def cleaning_summary(cleaned: CleanedMarkers, take: Take) -> str:
