@@ -202,13 +202,6 @@ def describe(
     mapping: Annotated[
         Path, typer.Argument(help="A trained mapping or retargeting.", show_default=False)
     ],
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            help="Picture to write of the eigen-space: takes and references along the first "
-            "principal components."
-        ),
-    ] = None,
     as_json: Json = False,
 ) -> None:
     """Print the method, settings and cross-validation scores of a mapping.
@@ -221,7 +214,7 @@ def describe(
     """
     from usdface.steps.performance.describe import describe_mapping
 
-    show_result(describe_mapping(mapping, picture=picture), as_json=as_json)
+    show_result(describe_mapping(mapping), as_json=as_json)
 
 
 def names(

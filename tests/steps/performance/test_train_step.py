@@ -53,9 +53,6 @@ def test_the_share_of_variance_is_that_of_the_take_and_the_eigen_space_is_drawn(
     assert any(note.startswith(line) for note in made.notes)
     assert describe_mapping(out).table[0].startswith(line)
     assert read_picture(picture).std() > 10
-    drawn = tmp_path / "y.jpg"
-    describe_mapping(out, picture=drawn)
-    np.testing.assert_array_equal(read_picture(drawn)[200:], read_picture(picture)[200:])
 
 
 def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(

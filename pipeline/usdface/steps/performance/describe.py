@@ -4,28 +4,21 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from usdface.core.assets import TrainedMapping
-from usdface.core.errors import InputError
 from usdface.core.text import aligned_rows, pluralize
-from usdface.media.picture.image import write_image
 from usdface.model.retarget.train import describe_retargeting_figures
-from usdface.runner.origin import path_made_from
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.steps.performance.train import describe_figures, eigenspace_picture, variance_line
+from usdface.steps.performance.train import describe_figures, variance_line
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.references.read import read_references
 from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting
 
 
-def describe_mapping(path: Path, *, picture: Path | None = None) -> StepResult:
-    """Return method, settings and scores of a mapping; draw its eigen-space to `picture`."""
-    confine("describe", reads=[path], writes=[] if picture is None else [picture])
+def describe_mapping(path: Path) -> StepResult:
+    """Return method, settings and scores of a mapping."""
+    confine("describe", reads=[path])
     if is_retargeting(path):
         return _describe_retargeting(path)
     mapping = read_mapping(path)
-    if picture is not None:
-        _draw(mapping, path, picture)
     head = ("method", "surface, mm", "weights, RMSE", "settings")
     tried = [
         (
@@ -37,26 +30,13 @@ def describe_mapping(path: Path, *, picture: Path | None = None) -> StepResult:
         for score in mapping.scores
     ]
     return StepResult(
-        () if picture is None else (picture,),
+        (),
         f"{mapping.method}: {len(mapping.marker_names)} markers to {len(mapping.shape_names)} "
         f"shapes, trained on {mapping.references or 'unnamed references'}",
         (),
         describe_figures(mapping),
         (variance_line(mapping), *_table(mapping.settings, head, tried)),
     )
-
-
-def _draw(mapping: TrainedMapping, path: Path, picture: Path) -> None:
-    if picture.exists():
-        raise InputError(f"{picture}: exists already; choose another name")
-    references = path_made_from(path, "references")
-    if references is None:
-        raise InputError(
-            f"{path}: its references, which the picture shows, are gone; put them back, or train "
-            "again with --picture"
-        )
-    drawn = eigenspace_picture(mapping, read_references(references), f"eigen-space of {path.stem}")
-    write_image(picture, drawn)
 
 
 def _describe_retargeting(path: Path) -> StepResult:
