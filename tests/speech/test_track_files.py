@@ -18,7 +18,7 @@ TRACK = PhoneTrack(
 )
 
 
-@pytest.mark.parametrize("suffix", [".TextGrid", ".lab", ".json"])
+@pytest.mark.parametrize("suffix", [".TextGrid", ".json"])
 def test_a_track_reads_back_the_same(tmp_path: Path, suffix: str) -> None:
     write_phone_track(tmp_path / f"x{suffix}", TRACK)
     assert read_phone_track(tmp_path / f"x{suffix}") == TRACK

@@ -42,10 +42,6 @@ def provenance_of(path: Path) -> Provenance | None:
             return _from_metadata(json_object(read_page_origin(path)))
         if path.suffix.lower() == ".json":
             return _from_json(path)
-        if path.suffix.lower() == ".lab":
-            from usdface.speech.track_files import read_sidecar_origin
-
-            return _from_metadata(read_sidecar_origin(path) or {})
         if path.suffix.lower() == ".textgrid":
             from usdface.speech.track_files import read_origin
 

@@ -314,7 +314,7 @@ class CleanSpec(Spec):
     """Reduce noise, by the level measured in the take. The height of blinks is preserved."""
 
 
-_PHONE_SUFFIXES = (".textgrid", ".lab", ".json")
+_PHONE_SUFFIXES = (".textgrid", ".json")
 
 
 class PhonesSpec(Spec):
@@ -338,7 +338,7 @@ class PhonesSpec(Spec):
     text: Annotated[str, Field(min_length=1)] | None = None
     """The spoken words, instead of a file."""
     out: Annotated[WritePath, AfterValidator(file_ending(_PHONE_SUFFIXES, "a file of phones"))]
-    """Phones to write: .TextGrid (Praat), .lab (HTK) or .json."""
+    """Phones to write: .TextGrid (Praat) or .json."""
     dictionary: ReadPath | None = None
     """Pronunciation of names and rare words: one per line, such as `kvothe K V OW TH`."""
 

@@ -1,6 +1,5 @@
-"""Reading and writing of phones: Praat's TextGrid, HTK's labels, JSON."""
+"""Reading and writing of phones: Praat's TextGrid, JSON; reading of HTK's labels."""
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from usdface.core.errors import InputError
-from usdface.core.replacing import replacing, replacing_together, write_text
+from usdface.core.replacing import replacing, write_text
 from usdface.core.text import first_few, json_object, read_text
 from usdface.speech.phones import PhoneTrack, Span, viseme_of
 
@@ -64,36 +63,17 @@ def read_phone_track(path: Path) -> PhoneTrack:
 def write_phone_track(
     path: Path, track: PhoneTrack, *, origin: Mapping[str, object] | None = None
 ) -> None:
-    """Write a track in the format of the extension; see `read_phone_track`.
+    """Write a track as JSON or, with any other extension, as a TextGrid.
 
-    `origin`, provenance, is in a TextGrid the label of a separate tier, in JSON a key, for HTK's
-    labels a separate file, `origin_path`.
+    `origin`, provenance, is in a TextGrid the label of a separate tier, in JSON a key.
     """
-    suffix = path.suffix.lower()
-    if suffix == ".lab":
-        _write_htk(path, _htk_text(track), origin)
-    elif suffix == ".json":
+    if path.suffix.lower() == ".json":
         write_text(path, _json_text(track, origin))
     else:
         with replacing(path) as temporary:
             _textgrid(track, origin).save(
                 str(temporary), "long_textgrid", includeBlankSpaces=True, reportingMode="silence"
             )
-
-
-def origin_path(labels: Path) -> Path:
-    """Return the path of the provenance of HTK labels."""
-    return labels.with_name(f"{labels.name}.origin.json")
-
-
-def _write_htk(path: Path, text: str, origin: Mapping[str, object] | None) -> None:
-    if origin is None:
-        write_text(path, text)
-        return
-    data = {"sha256": hashlib.sha256(text.encode()).hexdigest(), "provenance": dict(origin)}
-    with replacing_together([path, origin_path(path)]) as (temporary, sidecar):
-        temporary.write_bytes(text.encode())
-        sidecar.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 SAMPA_MARKS = frozenset("@{}&:")
@@ -162,16 +142,6 @@ def _from_htk(path: Path, text: str) -> PhoneTrack:
 
 def _is_number(text: str) -> bool:
     return re.fullmatch(r"-?\d+(\.\d+)?", text) is not None
-
-
-def _htk_text(track: PhoneTrack) -> str:
-    lines = []
-    starts = {round(word.start, 6): word.label for word in track.words}
-    for span in track.phones:
-        word = starts.get(round(span.start, 6), "")
-        start, end = (round(value / HTK_UNIT) for value in (span.start, span.end))
-        lines.append(f"{start} {end} {span.label or 'sil'}" + (f" {word}" if word else ""))
-    return "\n".join(lines) + "\n"
 
 
 def _from_json(path: Path, text: str) -> PhoneTrack:
@@ -298,19 +268,6 @@ def read_origin(path: Path) -> dict[str, object] | None:
     """Return the provenance of a TextGrid, or None."""
     found = re.search(ORIGIN_MARK + r"([^\"\s]+)", read_text(path, LARGEST_TRACK_BYTES))
     return json_object(unquote(found.group(1))) if found else None
-
-
-def read_sidecar_origin(path: Path) -> dict[str, object] | None:
-    """Return the provenance of HTK labels; None if they have been changed since."""
-    if not origin_path(path).is_file():
-        return None
-    try:
-        data = json.loads(read_text(origin_path(path), LARGEST_TRACK_BYTES))
-        same = data["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-        origin = data["provenance"] if same else None
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return None
-    return origin if isinstance(origin, dict) else None
 
 
 def _praatio() -> Any:

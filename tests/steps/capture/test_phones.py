@@ -88,11 +88,11 @@ def test_a_users_dictionary_says_how_a_name_is_said(
             audio=audio,
             text=words,
             dictionary=tmp_path / "own.dict",
-            out=tmp_path / "x.lab",
+            out=tmp_path / "x.json",
         )
     )
     assert report.figures["guessed"] == {}
-    assert "Y 0 " not in (tmp_path / "x.lab").read_text()
+    assert read_phone_track(tmp_path / "x.json").words
 
 
 @pytest.mark.parametrize("other", ["cold_corpus", "cold_corpus3"])
@@ -111,7 +111,7 @@ def test_silence_and_noise_hold_no_words(tmp_path: Path) -> None:
     noise = write_wave(tmp_path / "noise.wav", 0.3 * rng.standard_normal(32000))
     for sound, message in ((quiet, "the sound is silent"), (noise, "another recording")):
         with pytest.raises(InputError, match=message):
-            execute(PhonesSpec(audio=sound, text="hello world", out=tmp_path / "x.lab"))
+            execute(PhonesSpec(audio=sound, text="hello world", out=tmp_path / "x.json"))
 
 
 def test_no_audio_no_transcript_no_words_are_said_plainly(speech: Path, tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def make_take(path: Path, audio: Path | None) -> Path:
 def test_a_take_without_sound_is_refused(tmp_path: Path) -> None:
     take = make_take(tmp_path / "deaf.take.usda", None)
     with pytest.raises(InputError, match="no sound and no video"):
-        execute(PhonesSpec(audio=take, text="hello", out=tmp_path / "x.lab"))
+        execute(PhonesSpec(audio=take, text="hello", out=tmp_path / "x.json"))
 
 
 def test_a_takes_own_sound_is_used(speech: Path, tmp_path: Path) -> None:
@@ -147,8 +147,9 @@ def test_a_takes_own_sound_is_used(speech: Path, tmp_path: Path) -> None:
     sound = write_wave(tmp_path / "x.wav", samples)
     take = make_take(tmp_path / "x.take.usda", sound)
     for number, audio in enumerate((sound, take)):
-        execute(PhonesSpec(audio=audio, text=words, out=tmp_path / f"{number}.lab"))
-    assert (tmp_path / "0.lab").read_text() == (tmp_path / "1.lab").read_text()
+        execute(PhonesSpec(audio=audio, text=words, out=tmp_path / f"{number}.json"))
+    first, second = (read_phone_track(tmp_path / f"{n}.json") for n in (0, 1))
+    assert first == second
 
 
 def test_the_cameras_sound_is_brought_onto_the_takes_clock() -> None:
@@ -166,7 +167,7 @@ def test_any_loudness_gives_the_same_phones(speech: Path, tmp_path: Path) -> Non
     found = []
     for gain in (1.0, 0.05):
         sound = write_wave(tmp_path / f"{gain}.wav", gain * samples)
-        out = tmp_path / f"{gain}.lab"
+        out = tmp_path / f"{gain}.json"
         execute(PhonesSpec(audio=sound, text=" ".join(words), out=out))
         found.append([span.middle for span in said(read_phone_track(out))])
     np.testing.assert_allclose(found[0], found[1], atol=0.05)
