@@ -1,5 +1,6 @@
 """Specs of edits and publishing: edit, edits-import, bake, package."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -92,12 +93,11 @@ class EditsImportSpec(_EditedSpec, WeightTableSpec):
 
     example = "usdface edits import kitchen.hero.usda --changed kitchen.animator.usd"
     module = "edits.import_"
+    removed: ClassVar[Mapping[str, str]] = {"least": "differences below 0.002 are rounding"}
 
     step: Literal["edits-import"] = "edits-import"
     changed: ReadPath
     """.usd with an animation, or .csv or .json (a `frame` column, then one column per shape)."""
-    least: Annotated[float, Field(gt=0.0, le=1.0)] = 0.002
-    """Smallest difference in weight that counts as an edit; smaller ones are rounding."""
 
 
 class BakeSpec(MovedRigSpec):
@@ -138,6 +138,7 @@ class CombineSpec(Spec):
 
     example = "usdface combine kitchen.hero.usda stairs.hero.usda --out hero.takes.usda"
     module = "edits.combine"
+    removed: ClassVar[Mapping[str, str]] = {"shown": "give the performance to show first"}
 
     step: Literal["combine"] = "combine"
     performances: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]
@@ -145,10 +146,8 @@ class CombineSpec(Spec):
     out: LayerOut
     """The asset to write."""
     takes: tuple[Name, ...] = ()
-    """Names of the variants, one per performance. Default: the files' names without their common
-    parts."""
-    shown: Name | None = None
-    """The variant selected by default. Default: the first."""
+    """Names of the variants, one per performance; the first is selected. Default: the files' names
+    without their common parts."""
 
 
 class PackageSpec(MovedRigSpec):

@@ -101,11 +101,11 @@ class SelectSpec(Spec):
     cores = 2
     memory_mib = 8192
 
-    only_with: ClassVar[OnlyWith] = {"extremes": ("method", ("viseme",))}
     never_with: ClassVar[NeverWith] = {"landmarks": ("placement",)}
     removed: ClassVar[Mapping[str, str]] = {
         "method=active": "it chose no better than design. Leave it out: a higher --count keeps the "
-        "tuned pairs, and --mapping proposes the others' weights"
+        "tuned pairs, and --mapping proposes the others' weights",
+        "extremes": "`viseme` adds ten per emotion, as the paper; --count limits all pairs",
     }
 
     step: Literal["select"] = "select"
@@ -118,16 +118,14 @@ class SelectSpec(Spec):
     count: Annotated[int, Field(ge=2, le=10_000)] = 100
     """Number of pairs."""
     method: Literal["viseme", "design", "both"] = "both"
-    """How frames are chosen: `viseme`, one per viseme and emotion, plus extremes; `design`, few
-    frames that span the motion; `both`, visemes if phones are given, then design. Tuned pairs stay,
-    and their coverage counts."""
+    """How frames are chosen: `viseme`, one per viseme and emotion, and ten extremes per emotion;
+    `design`, few frames that span the motion; `both`, visemes if phones are given, then design.
+    Tuned pairs stay, and their coverage counts."""
     phones: Annotated[tuple[Path, ...], Reads()] = ()
     """Phone labels of the takes (`usdface phones`, or a TextGrid of another aligner), on the takes'
     clock: one file per take, in the same order."""
     emotions: tuple[Name, ...] = ()
     """Emotion of each take, in the same order. Default: as stored in the takes."""
-    extremes: Annotated[int, Field(ge=0, le=1000)] = 10
-    """With `viseme`: number of extreme frames added per emotion."""
     mapping: ReadPath | None = None
     """Mapping trained on the pairs tuned so far, which proposes the weights of the other pairs:
     closer to an animator's keys than proposals from the rig's geometry."""

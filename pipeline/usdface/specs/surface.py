@@ -240,6 +240,7 @@ class LogicSpec(WeightTableSpec):
 
     example = "usdface logic hero.usd --naming --out hero.logic.usda"
     module = "surface.logic"
+    removed: ClassVar[Mapping[str, str]] = {"listed": "--json lists all combinations"}
     only_with: ClassVar[OnlyWith] = {"weight_unit": ("weights", ())}
 
     step: Literal["logic"] = "logic"
@@ -262,8 +263,6 @@ class LogicSpec(WeightTableSpec):
     with a `frame` column, or USD."""
     driven: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = ()
     """Shapes whose logic is inferred from --weights, as patterns,..."""
-    listed: Annotated[int, Field(ge=0, le=100_000)] = 10
-    """Number of combinations to list."""
     prim: PrimPath | None = None
     """Face in the rig's file, if it holds several."""
 

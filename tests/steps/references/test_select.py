@@ -1,6 +1,7 @@
 """Selecting as a user does: every way of choosing, and what must never be lost."""
 
 import json
+from bisect import bisect_right
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -63,15 +64,18 @@ def make_phones(shot: Shot, name: str = "said.json", *, emotions: bool = True) -
 
 
 def test_visemes_of_every_emotion_are_among_the_pairs_and_in_the_asset(shot: Shot) -> None:
-    report = execute(spec(shot, method="viseme", phones=(make_phones(shot),), extremes=2))
+    report = execute(spec(shot, method="viseme", phones=(make_phones(shot),), count=28))
     references = read_references(shot / "new.references.usda")
-    assert len(references.frames) == len(set(references.frames.tolist())) == 12
+    assert (
+        len(references.frames) == len(set(references.frames.tolist())) == 28
+    )  # 8, and ten extremes of each emotion
     kinds = set(zip(references.visemes, references.emotions, strict=True))
     assert {(v, e) for v in ("b", "ae", "s", "pau") for e in ("joy", "anger")} <= kinds
     assert list(references.visemes) == report.figures["visemes"]
     for frame, viseme in zip(references.frames.tolist(), references.visemes, strict=True):
         moment = (frame - 1) / 120  # the shot runs at 120 frames a second
-        expected = ("b", "ae", "s", "pau")[min(int(moment / 0.1), 39) % 4]
+        phone = bisect_right([0.1 * i for i in range(40)], moment) - 1
+        expected = ("b", "ae", "s", "pau")[phone % 4]
         assert viseme == expected
     stage = Usd.Stage.Open(str(shot / "new.references.usda"))
     root = stage.GetPrimAtPath("/References")

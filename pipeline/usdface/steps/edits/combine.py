@@ -18,16 +18,8 @@ def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress) -> Ste
     names = _names(spec)
     readers = [PerformanceReader(path) for path in spec.performances]
     _check_alike(spec, readers)
-    shown = spec.shown or names[0]
-    if shown not in names:
-        raise InputError(f"--shown {shown}: is not one of the takes {first_few(names)}; name one")
     progress(0.5, f"writing {spec.out.name}")
-    write_takes(
-        spec.out,
-        dict(zip(names, readers, strict=True)),
-        shown=shown,
-        provenance=provenance,
-    )
+    write_takes(spec.out, dict(zip(names, readers, strict=True)), provenance=provenance)
     edited = [name for name, each in zip(names, readers, strict=True) if each.edits]
     notes: tuple[str, ...] = ()
     if edited:
@@ -35,14 +27,14 @@ def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress) -> Ste
     return StepResult(
         (spec.out,),
         f"{pluralize(len(names), 'take')} of one character, variants `{VARIANT_SET}`: "
-        f"{first_few(names)}; {shown} is shown",
+        f"{first_few(names)}; {names[0]} is shown",
         notes,
         {
             "takes": {
                 name: [each.first_frame, each.last_frame]
                 for name, each in zip(names, readers, strict=True)
             },
-            "shown": shown,
+            "shown": names[0],
         },
     )
 

@@ -28,6 +28,9 @@ from usdface.usdio.performance.edits import (
 )
 from usdface.usdio.performance.read import PerformanceReader
 
+_LEAST_CHANGE = 0.002
+"""Smallest difference in weight that counts as an edit; smaller ones are rounding."""
+
 
 def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Set edits so that the performance equals the file at its frames.
@@ -116,18 +119,18 @@ def _changes(
             weights=now,
             current=before,
             solved=solve[rows],
-            least=spec.least,
+            least=_LEAST_CHANGE,
         )
         if meshes:
             elsewhere[shape] = meshes
-        differs = np.abs(now - before) > spec.least
+        differs = np.abs(now - before) > _LEAST_CHANGE
         if not differs.any():
             continue
         old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
         differing |= differs
         touched = np.zeros(len(frames), dtype=bool)
         touched[rows[differs]] = True
-        offset = np.where(np.abs(offset) > spec.least, offset, 0.0)[differs]
+        offset = np.where(np.abs(offset) > _LEAST_CHANGE, offset, 0.0)[differs]
         curve = _replaced(old.curve, rows[differs], offset)
         changed[shape] = with_curve(old, curve, solve, touched)
     return changed, elsewhere, differing

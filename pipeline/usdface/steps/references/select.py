@@ -64,6 +64,9 @@ from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.placement import RigPlacement, write_placement
 
+_EXTREME_COUNT = 10
+"""Extreme frames of each emotion with `viseme`, as in the paper."""
+
 
 @dataclass(frozen=True)
 class _Selection:
@@ -312,7 +315,7 @@ def _choose(selection: _Selection) -> ReferenceChoice:
             segments=selection.spoken.segments,
             emotion_of=selection.spoken.emotion_of,
             visemes=VISEMES,
-            extremes=spec.extremes if spec.method == "viseme" else 0,
+            extremes=_EXTREME_COUNT if spec.method == "viseme" else 0,
             already=selection.already,
             candidates=selection.candidates,
         )

@@ -23,7 +23,7 @@ from usdface.steps.inputs.source_motion import (
 from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_of_pairs
 from usdface.usdio.take.read import TakeReader
 
-_OF_MARKERS = ("phones", "extremes", "mapping", "placement", "landmarks", "picture")
+_OF_MARKERS = ("phones", "mapping", "placement", "landmarks", "picture")
 """Options of `select` that need markers."""
 
 

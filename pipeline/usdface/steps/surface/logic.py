@@ -23,6 +23,8 @@ from usdface.usdio.rig.write import write_logic
 _MOST_ROWS = 2000
 """Rows of weights used for inference, evenly spread."""
 
+_LISTED_COMBINATIONS = 10
+
 
 def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Read the logic, check it against the rig and write an asset over the rig."""
@@ -55,13 +57,13 @@ def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress) -> StepR
         (spec.out,),
         f"{pluralize(len(every), 'combination')}; {len(shapes) - len(driven)} of "
         f"{pluralize(len(shapes), 'shape')} are animated",
-        (*notes, *map(str, every[: spec.listed]), *_rest(every, spec.listed)),
+        (*notes, *map(str, every[:_LISTED_COMBINATIONS]), *_rest(every)),
         {"combinations": [_figures(each) for each in every]},
     )
 
 
-def _rest(combinations: tuple[Combination, ...], listed: int) -> list[str]:
-    more = len(combinations) - listed
+def _rest(combinations: tuple[Combination, ...]) -> list[str]:
+    more = len(combinations) - _LISTED_COMBINATIONS
     return [f"and {more} more; --json lists all"] if more > 0 else []
 
 

@@ -296,10 +296,9 @@ def write_takes(
     path: Path,
     takes: Mapping[str, PerformanceReader],
     *,
-    shown: str,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write an asset of several takes of one character, with a variant for each.
+    """Write an asset of several takes of one character, a variant for each; the first is shown.
 
     Variants reference the performances, and so follow their changes. The range of the layer spans
     all takes, as variants cannot change it.
@@ -308,8 +307,6 @@ def write_takes(
     ----------
     takes : mapping of str to PerformanceReader
         Performances of one rig at one path and rate, by the name of the variant.
-    shown : str
-        The selected variant.
     """
     first = next(iter(takes.values()))
     top = Sdf.Path(first.header.rig_path).GetPrefixes()[0]
@@ -327,7 +324,7 @@ def write_takes(
         prim.SetInfo("kind", Kind.Tokens.component)
         variants = Sdf.VariantSetSpec(prim, VARIANT_SET)
         prim.variantSetNameList.prependedItems = [VARIANT_SET]
-        prim.variantSelections[VARIANT_SET] = shown
+        prim.variantSelections[VARIANT_SET] = next(iter(takes))
         for name, reader in takes.items():
             variant = Sdf.VariantSpec(variants, name)
             reference = Sdf.Reference(relative_path(reader.path, path), top)
