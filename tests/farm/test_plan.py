@@ -171,6 +171,19 @@ def test_a_movie_is_drawn_in_pieces_of_the_frames_that_will_be_mapped() -> None:
     assert joined.take == Path("/s/x.usda")
 
 
+def test_a_movie_in_pieces_has_the_sound_of_the_mapped_take_or_is_not_cut() -> None:
+    step = mapped("101-1300")
+    movie = MovieSpec(performance=step.out, out=Path("/s/x.mp4"))
+    joined = [each.tasks for each in plan(step, movie).steps if each.name == "movie-join"]
+    assert [each.take for each in joined[0]] == [step.take]
+    silent = movie.model_copy(update={"sound": False})
+    joined = [each.tasks for each in plan(step, silent).steps if each.name == "movie-join"]
+    assert [each.take for each in joined[0]] == [None]
+    other = MovieSpec(performance=Path("/s/other.usda"), out=Path("/s/x.mp4"))
+    whole = plan(step, other, there={"/s/other.usda": (1, 9000)})
+    assert "movie-join" not in shape(whole)
+
+
 @pytest.mark.parametrize("step", [mapped("1-1000"), mapped("1-3")])
 def test_a_take_of_one_chunk_stays_whole(step: MapSpec) -> None:
     assert shape(plan(step)) == {"map": (1, ())}

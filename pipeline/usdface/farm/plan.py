@@ -8,6 +8,7 @@ from typing import Literal
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import parts_folder
+from usdface.runner.origin import existing_take
 from usdface.runner.state import frames_made
 from usdface.specs.base import Spec
 from usdface.specs.capture import TrackSpec
@@ -36,19 +37,22 @@ class ChunkSizes:
     """Whether the parts of a performance are kept as value clips."""
 
 
-def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[Spec]:
+def in_chunks(
+    step: Spec, sizes: ChunkSizes, frames: FrameRange | None, *, take: Path | None = None
+) -> list[Spec]:
     """Return the tasks of a step: the step itself, or its chunks and their join.
 
     Boundaries depend on frames and size only, so that retries and repeated submissions make the
     same files.
 
-    `frames`: None if unknown: then the step is not split.
+    `frames`: None if unknown: then the step is not split. `take`: that of a movie's performance,
+    whose sound the join encodes; without it, a movie with sound is not split.
     """
     size = None
     if isinstance(step, MapSpec):
         size = sizes.map
     elif isinstance(step, MovieSpec):
-        size = sizes.movie
+        size = None if step.sound and take is None else sizes.movie
     elif isinstance(step, TrackSpec) and not (step.part or step.parts):
         size = sizes.track
     chunks = [] if frames is None or size is None else _chunks(frames, size)
@@ -61,9 +65,8 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
         mapped = [step.model_copy(update={**part, "chunk": None}) for part in parts]
         return [*mapped, JoinSpec(parts=names, out=step.out, clips=clips)]
     if isinstance(step, MovieSpec):
-        take = step.take if step.sound else None
         shown = [step.model_copy(update={**part, "sound": False}) for part in parts]
-        return [*shown, MovieJoinSpec(parts=names, take=take, out=step.out)]
+        return [*shown, MovieJoinSpec(parts=names, take=take if step.sound else None, out=step.out)]
     seen = [step.part_spec(text, name) for text, name in zip(chunks, names, strict=True)]
     return [*seen, step.model_copy(update={"parts": names})]
 
@@ -155,10 +158,18 @@ def _tasks(
 ) -> tuple[list[Spec], list[Path]]:
     made = {path for step in job.steps for path in step.changes()}
     ranges: dict[Path, FrameRange] = {}
+    takes: dict[Path, Path] = {}
 
     def known_frames(path: Path) -> FrameRange | None:
         # Files that this job makes may get other frames than the existing ones.
         return ranges.get(path) if path in made else frames_of(path)
+
+    def known_take(movie: MovieSpec) -> Path | None:
+        if movie.take is not None:
+            return movie.take
+        if movie.performance in made or not movie.performance.is_file():
+            return takes.get(movie.performance)
+        return existing_take(movie.performance)
 
     tasks: list[Spec] = []
     whole: list[Path] = []
@@ -168,7 +179,10 @@ def _tasks(
             ranges |= dict.fromkeys(step.outputs(), frames)
         elif isinstance(step, MapSpec):
             whole += step.outputs()
-        tasks += in_chunks(step, sizes, frames)
+        if isinstance(step, MapSpec):
+            takes |= dict.fromkeys(step.outputs(), step.take)
+        take = known_take(step) if isinstance(step, MovieSpec) else None
+        tasks += in_chunks(step, sizes, frames, take=take)
     return tasks, whole
 
 
