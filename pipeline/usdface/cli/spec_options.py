@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from usdface.cli.console import ProgressStyle
 from usdface.core.errors import InputError
-from usdface.specs.base import Positional, Spec, field_help
+from usdface.specs.base import Positional, Spec
 from usdface.specs.reading import validation_messages
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
@@ -59,20 +59,19 @@ SpecType = TypeVar("SpecType", bound=Spec)
 def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
     """Return the command-line parameters of a spec."""
     parameters = []
-    texts = field_help(spec)
     for name, field in spec.model_fields.items():
         if name == "step":
             continue
         kind = _command_line_type(field.annotation)
         required = field.is_required()
         if any(isinstance(mark, Positional) for mark in field.metadata):
-            info: Any = typer.Argument(help=texts.get(name), show_default=False)
+            info: Any = typer.Argument(help=field.description, show_default=False)
         else:
             named = "<str,...>" if _is_list_of_names(field.annotation) else None
             flag = f"--{name.replace('_', '-')}"
             info = typer.Option(
                 f"{flag}/--no-{flag[2:]}" if field.annotation is bool else flag,
-                help=texts.get(name),
+                help=field.description,
                 metavar=named,
                 case_sensitive=False,
             )

@@ -1,11 +1,6 @@
 """Base class of all specs: frozen, no unknown keys, limits in types, marked paths."""
 
-import ast
-import functools
-import inspect
-import itertools
 import os
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +12,8 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    GetJsonSchemaHandler,
     model_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import core_schema
 
 from usdface.specs.paths import ReadPath, Reads, Several, Writes
 
@@ -66,43 +58,6 @@ class Positional:
     """Marks a field that is an argument of the command line, not an option."""
 
 
-def field_help(spec: type) -> dict[str, str]:
-    """Return the text below each field of a class, including inherited ones.
-
-    Pydantic would read the source of every spec whenever a command starts. Where the package was
-    installed without its source there is no help, and all else works.
-    """
-    texts: dict[str, str] = {}
-    for each in reversed(spec.__mro__):
-        if each.__module__.startswith(__package__):
-            texts |= _class_help(each)
-    return texts
-
-
-def _class_help(spec: type) -> dict[str, str]:
-    return {
-        field.target.id: inspect.cleandoc(text.value.value)
-        for field, text in itertools.pairwise(_class_bodies(spec.__module__).get(spec.__name__, ()))
-        if isinstance(field, ast.AnnAssign)
-        and isinstance(field.target, ast.Name)
-        and isinstance(text, ast.Expr)
-        and isinstance(text.value, ast.Constant)
-        and isinstance(text.value.value, str)
-    }
-
-
-@functools.cache
-def _class_bodies(module: str) -> dict[str, list[ast.stmt]]:
-    """Return the statements of each class of a module, which is parsed once."""
-    try:
-        source = inspect.getsource(sys.modules[module])
-    except OSError:
-        return {}
-    return {
-        each.name: each.body for each in ast.parse(source).body if isinstance(each, ast.ClassDef)
-    }
-
-
 def _marks_within(annotation: Any) -> list[Any]:
     """Return the marks inside an optional type; pydantic collects only the outermost."""
     marks = list(getattr(annotation, "__metadata__", ()))
@@ -119,6 +74,7 @@ class Spec(BaseModel):
         extra="forbid",
         allow_inf_nan=False,
         defer_build=True,  # a command starts with all specs, and validates one
+        use_attribute_docstrings=True,
     )
 
     example: ClassVar[str] = ""
@@ -204,17 +160,6 @@ class Spec(BaseModel):
                     "the file"
                 ) from error
         return self
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        schema = handler(core)
-        properties = handler.resolve_ref_schema(schema)["properties"]
-        for name, text in field_help(cls).items():
-            if name in properties:
-                properties[name].setdefault("description", text)
-        return schema
 
     @classmethod
     def step_name(cls) -> str:
