@@ -60,7 +60,7 @@ class Alignment:
 
     def undo_motion(self, motion: FloatArray) -> FloatArray:
         """Return displacements of the character in the cloud's space and proportions."""
-        return np.asarray(motion / self.scale @ self.rotation)
+        return motion / self.scale @ self.rotation
 
 
 UNMOVED = Alignment(np.ones(3), np.eye(3), np.zeros(3))

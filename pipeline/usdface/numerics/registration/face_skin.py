@@ -157,7 +157,7 @@ def _on_skin(
     np.maximum.at(moved, piece, activity)
     visible_count[moved < 0.1 * moved.max()] = 0
     large = visible_count >= _SKIN_SHARE * visible_count.max()
-    return np.asarray(large[piece[T[owner, 0]]])
+    return large[piece[T[owner, 0]]]
 
 
 _ACTIVE_SHARE = 0.2
@@ -192,11 +192,11 @@ class FaceSkin:
 
     def activity(self) -> FloatArray:
         """Return the root of the summed squared displacements of each sample: (samples,) [mm]."""
-        return np.asarray(np.sqrt((self.deltas**2).sum(axis=(0, 2), dtype=np.float64)))
+        return np.sqrt((self.deltas**2).sum(axis=(0, 2), dtype=np.float64))
 
     def mirrored(self, points: FloatArray) -> FloatArray:
         """Return points of the face's frame reflected in its plane of symmetry."""
-        return np.asarray(points * [-1.0, 1.0, 1.0] + [2 * self.sagittal_x, 0.0, 0.0])
+        return points * [-1.0, 1.0, 1.0] + [2 * self.sagittal_x, 0.0, 0.0]
 
 
 @cache_last_result

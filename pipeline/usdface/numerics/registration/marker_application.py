@@ -90,7 +90,7 @@ def find_offset(
         residual = np.where(both[..., None], difference - offset, 0.0)
         scatter = np.einsum("pm,pm->m", share, (residual**2).sum(axis=2))
     length = np.maximum((offset**2).sum(axis=1), 1e-12)
-    return np.asarray(offset * np.maximum(1 - scatter / length, 0.0)[:, None])
+    return offset * np.maximum(1 - scatter / length, 0.0)[:, None]
 
 
 def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) -> FloatArray:
@@ -107,7 +107,7 @@ def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) 
         [mm]
     """
     known = np.ones((1, usable.shape[1]), bool)
-    return np.asarray(np.sqrt(_squared_distances(at[None], known, positions, usable)[0]))
+    return np.sqrt(_squared_distances(at[None], known, positions, usable)[0])
 
 
 def _mutual_pairs(squared: FloatArray) -> tuple[IntArray, IntArray]:

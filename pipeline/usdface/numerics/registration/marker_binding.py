@@ -121,4 +121,4 @@ def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatA
     inverse = (directions / (np.maximum(variances, 0.0) + noise)) @ directions.T
     residual = (inverse @ moved) / np.diag(inverse)[:, None]
     standardised = np.sqrt((residual**2).sum(axis=1) * np.diag(inverse))
-    return np.asarray(standardised / max(float(np.median(standardised)), 1e-9))
+    return standardised / max(float(np.median(standardised)), 1e-9)

@@ -107,4 +107,4 @@ def _warp(start: FloatArray, target: FloatArray, variance: FloatArray, size: flo
     distance = cdist(start, start) / (_WARP_LENGTH * size)
     kernel = (_WARP_SIZE * size) ** 2 * np.exp(-0.5 * distance**2)
     pull = np.linalg.solve(kernel + np.diag(variance), target - start)
-    return np.asarray(start + kernel @ pull)
+    return start + kernel @ pull

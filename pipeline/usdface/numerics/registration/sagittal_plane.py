@@ -37,7 +37,7 @@ class SagittalPlane:
     def mirrored(self, points: FloatArray) -> FloatArray:
         """Return points reflected in the plane."""
         away = points @ self.normal - self.offset
-        return np.asarray(points - 2 * away[:, None] * self.normal)
+        return points - 2 * away[:, None] * self.normal
 
     def levelled_frame(self) -> FloatArray:
         """Return the rotation whose rows are left, up and forward.

@@ -88,7 +88,7 @@ class KnownPlace:
 
     def step(self, positions: FloatArray) -> FloatArray:
         """Return the vector from the centroid of these markers to its place: (3,) [mm]."""
-        return np.asarray(self.place - positions[list(self.markers)].mean(axis=0))
+        return self.place - positions[list(self.markers)].mean(axis=0)
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def to_character(motion: FloatArray, fit: Alignment) -> FloatArray:
     By the geometric mean of width and height: the depth of a face does not predict the amplitude
     of its motion.
     """
-    return np.asarray(np.sqrt(fit.scale[0] * fit.scale[1]) * (motion @ fit.rotation.T))
+    return np.sqrt(fit.scale[0] * fit.scale[1]) * (motion @ fit.rotation.T)
 
 
 def explained_share(
@@ -326,7 +326,7 @@ def path_misfit(deltas: Float32Array, weights: FloatArray, paths: FloatArray) ->
     gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAIN_LIMITS)
     residual = np.maximum(energy[:, None] + gain * (gain * sample_energy - 2 * product), 0)
     noise = 3 * len(paths) * _NOISE_MM**2
-    return np.asarray((residual + noise) / (energy + noise)[:, None])
+    return (residual + noise) / (energy + noise)[:, None]
 
 
 def _settle(

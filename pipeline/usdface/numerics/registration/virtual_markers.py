@@ -38,7 +38,7 @@ class VirtualMarkers:
 
     def places(self, surface: FloatArray) -> FloatArray:
         """Return the positions of the markers for given points of the surface: (markers, 3)."""
-        return np.asarray(np.einsum("mk,mkc->mc", self.weights, surface[self.points]))
+        return np.einsum("mk,mkc->mc", self.weights, surface[self.points])
 
 
 def marker_deltas(virtual: VirtualMarkers, offsets: sparse.sparray) -> FloatArray:

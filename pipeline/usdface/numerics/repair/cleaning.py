@@ -281,7 +281,7 @@ def _with_measured_pose(take: _StabilizedTake) -> BoolArray:
     posed = take.visible & take.measured[:, None]
     unseen = ~posed.any(axis=0)
     posed[:, unseen] = take.visible[:, unseen]
-    return np.asarray(posed)
+    return posed
 
 
 def _pose_by_face(

@@ -124,4 +124,4 @@ def _regress(scores: FloatArray, targets: FloatArray, wanted: FloatArray) -> Flo
         errors += ((Z[test] @ vectors @ shrunk - Y[test]) ** 2).sum(axis=(1, 2))
     chosen = penalties[errors.argmin()]
     gain = np.linalg.solve(gram + chosen * np.eye(len(gram)), cross)
-    return np.asarray(mean + (wanted - center) @ gain)
+    return mean + (wanted - center) @ gain

@@ -186,7 +186,7 @@ class _Moments:
                 self.products += sign * (centered.T @ centered)
 
     def mean(self) -> FloatArray:
-        return np.asarray(self.center + self.total / len(self.filled))
+        return self.center + self.total / len(self.filled)
 
     def principal(self, limit: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return principal components about the mean.
@@ -287,4 +287,4 @@ def _outliers(distance: RealArray, usable: BoolArray, sensor_noise: FloatArray) 
         some = distance[rows[:: max(1, len(rows) // _MEDIAN_FRAMES)], marker]
         deviation = MAD_TO_DEVIATION * float(np.median(some))
         limit[marker] = _OUTLIER_DEVIATIONS * max(deviation, float(sensor_noise[marker]))
-    return np.asarray(distance > limit)
+    return distance > limit

@@ -246,7 +246,7 @@ def _spline(track: RealArray, ok: BoolArray, start: int, stop: int) -> RealArray
     near = np.flatnonzero(ok[low:high]) + low
     before, after = near[near < start][-_SPLINE_KNOTS:], near[near >= stop][:_SPLINE_KNOTS]
     knots = np.concatenate([before, after])
-    return np.asarray(_spline_weights(tuple((knots - start).tolist()), stop - start) @ track[knots])
+    return _spline_weights(tuple((knots - start).tolist()), stop - start) @ track[knots]
 
 
 @lru_cache(maxsize=4096)
@@ -254,7 +254,7 @@ def _spline_weights(knots: tuple[int, ...], length: int) -> FloatArray:
     """Return the spline's weight of each knot in each frame of a gap, (length, knots)."""
     frames, unit = np.arange(length), np.eye(len(knots))
     if len(knots) > 2:
-        return np.asarray(CubicSpline(knots, unit)(frames))
+        return CubicSpline(knots, unit)(frames)
     return np.stack([np.interp(frames, knots, row) for row in unit], axis=1)
 
 
@@ -267,9 +267,9 @@ def _blend_offsets(
     frames = np.arange(start, stop, dtype=np.float64)
     if start == 0 or stop == len(ok):
         edge, distance = (after, stop - frames) if start == 0 else (before, frames - start + 1)
-        return np.asarray(np.exp(-distance / _FADE_FRAMES)[:, None] * edge)
+        return np.exp(-distance / _FADE_FRAMES)[:, None] * edge
     share = ((frames - start + 1) / (stop - start + 1))[:, None]
-    return np.asarray((1.0 - share) * before + share * after)
+    return (1.0 - share) * before + share * after
 
 
 def _end_offset(offsets: RealArray, noise: float) -> FloatArray:
@@ -285,7 +285,7 @@ def _end_offset(offsets: RealArray, noise: float) -> FloatArray:
     if square == 0.0:
         return mean
     expected = 2.0 * noise**2 * (1.0 + 1.0 / len(offsets))
-    return np.asarray(mean * max(0.0, 1.0 - expected / square))
+    return mean * max(0.0, 1.0 - expected / square)
 
 
 def _gap_confidence(start: int, stop: int, frame_count: int, rate: float) -> RealArray:
@@ -298,4 +298,4 @@ def _gap_confidence(start: int, stop: int, frame_count: int, rate: float) -> Rea
 
 def explained_after(seconds: RealArray) -> RealArray:
     """Return the share of a motion's variance that a sample explains some time away [0-1]."""
-    return np.asarray(np.exp(-((seconds / _CORRELATION_SECONDS) ** 2)))
+    return np.exp(-((seconds / _CORRELATION_SECONDS) ** 2))

@@ -39,12 +39,12 @@ class LowRankModel:
     @cached_property
     def weighted(self) -> FloatArray:
         """Components over the variance of the noise, (rank, markers * 3)."""
-        return np.asarray(self.components / np.repeat(self.noise**2, 3))
+        return self.components / np.repeat(self.noise**2, 3)
 
     @cached_property
     def score_precision(self) -> FloatArray:
         """Precision of the scores when all markers are seen, (rank, rank)."""
-        return np.asarray(self.weighted @ self.components.T + np.diag(1.0 / self.variances))
+        return self.weighted @ self.components.T + np.diag(1.0 / self.variances)
 
     @cached_property
     def score_weights(self) -> FloatArray:
@@ -59,7 +59,7 @@ class LowRankModel:
         blocks = -(self.weighted.T[entries] @ np.swapaxes(self.score_weights.T[entries], -1, -2))
         rows = np.arange(entries.shape[-1])
         blocks[..., rows, rows] += np.repeat(self.noise**-2.0, 3)[entries]
-        return np.asarray(blocks)
+        return blocks
 
     @cached_property
     def conditional_covariances(self) -> FloatArray:
@@ -145,4 +145,4 @@ def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> F
         directions = model.components.T[entries]
         inner = model.score_precision - np.swapaxes(model.weighted.T[entries], 1, 2) @ directions
         shift = directions @ np.linalg.solve(inner, weighted_offset[..., None])
-    return np.asarray((model.mean[entries] + shift[..., 0]).reshape(frames, count, 3))
+    return (model.mean[entries] + shift[..., 0]).reshape(frames, count, 3)

@@ -160,7 +160,7 @@ def _beyond_limits(
             break
         trusted[active, worst[beyond]] = False
         predicted[active] = fill_and_predict(model, points[active], trusted[active])[1]
-    return np.asarray(seen & ~trusted)
+    return seen & ~trusted
 
 
 def _limits(
@@ -222,7 +222,7 @@ def _jump_sizes(track: RealArray) -> RealArray:
     steps = np.diff(track, axis=0, prepend=track[:1], append=track[-1:])
     change = np.linalg.norm(np.diff(steps, axis=0), axis=1)
     size = np.linalg.norm(steps[1:-1], axis=1)
-    return np.asarray(np.minimum(size, np.maximum(change[:-1], change[1:])))
+    return np.minimum(size, np.maximum(change[:-1], change[1:]))
 
 
 def find_lost(positions: RealArray, visible: BoolArray, *, neutral: int) -> BoolArray:
@@ -258,7 +258,7 @@ def find_lost(positions: RealArray, visible: BoolArray, *, neutral: int) -> Bool
             while stop < len(track) and track[stop] < track[stop - 1]:
                 stop += 1
             lost[start:stop, marker] = True
-    return np.asarray(lost & visible)
+    return lost & visible
 
 
 def _left_neighbors(

@@ -159,7 +159,7 @@ def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
 
 def difference_eigenvalues(frames: int) -> FloatArray:
     """Return the eigenvalues of the squared third differences of a mirrored series, (frames,)."""
-    return np.asarray((2.0 - 2.0 * np.cos(np.pi * np.arange(frames) / frames)) ** _DIFFERENCE_ORDER)
+    return (2.0 - 2.0 * np.cos(np.pi * np.arange(frames) / frames)) ** _DIFFERENCE_ORDER
 
 
 def gcv_penalties(spectrum: FloatArray) -> FloatArray:
@@ -181,4 +181,4 @@ def gcv_penalties(spectrum: FloatArray) -> FloatArray:
     for i, penalty in enumerate(_PENALTIES):
         removed = 1.0 - 1.0 / (1.0 + penalty * eigenvalues)  # I - hat matrix, diagonal here
         scores[i] = (removed**2 @ power) / (removed @ members / frames) ** 2
-    return np.asarray(_PENALTIES[scores.argmin(axis=0)])
+    return _PENALTIES[scores.argmin(axis=0)]

@@ -177,7 +177,7 @@ def _position_evidence(pair: Pair, views: _Views) -> RealArray:
         x_alone = x_square - _ALONE_STRICTNESS * (y_square - 2.0 * y_along + square)
         y_alone = y_square - _ALONE_STRICTNESS * (x_square + 2.0 * x_along + square)
         place = _choose_seen(place, x_alone, y_alone, views.x_seen, views.y_seen)
-    return np.asarray(place / np.float32(pair.residual_variance))
+    return place / np.float32(pair.residual_variance)
 
 
 def _direction_evidence(pair: Pair, views: _Views) -> RealArray:
@@ -207,7 +207,7 @@ def _jump_evidence(views: _Views, step_scale: float) -> RealArray:
     jump[1:] = _choose_seen(
         together, x_alone, y_alone, x_seen[1:] & x_seen[:-1], y_seen[1:] & y_seen[:-1]
     )
-    return np.asarray(jump / np.float32(step_scale**2))
+    return jump / np.float32(step_scale**2)
 
 
 def _choose_seen(
@@ -219,7 +219,7 @@ def _choose_seen(
 ) -> RealArray:
     """Choose the evidence by visibility: of both markers, one of them, or none (0)."""
     alone = np.where(x_seen, x_alone, np.where(y_seen, y_alone, np.float32(0.0)))
-    return np.asarray(np.where(x_seen & y_seen, together, alone))
+    return np.where(x_seen & y_seen, together, alone)
 
 
 def _mixing(model: LowRankModel, first: int, second: int) -> Float32Array:
@@ -236,13 +236,13 @@ def _steps(window: Window) -> RealArray:
     """Return the squared step of each marker from the previous frame; 0 unless visible in both."""
     steps = np.diff(window.positions, axis=2)
     squares = np.einsum("mif,mif->mf", steps, steps)
-    return np.asarray(squares * (window.seen[:, 1:] & window.seen[:, :-1]))
+    return squares * (window.seen[:, 1:] & window.seen[:, :-1])
 
 
 def _length(vectors: RealArray) -> RealArray:
     """Return lengths over the second axis."""
-    return np.asarray(np.sqrt(np.einsum("mif,mif->mf", vectors, vectors)))
+    return np.sqrt(np.einsum("mif,mif->mf", vectors, vectors))
 
 
 def _dot(one: RealArray, other: RealArray) -> RealArray:
-    return np.asarray(one[0] * other[0] + one[1] * other[1] + one[2] * other[2])
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]

@@ -80,7 +80,7 @@ def triangulate_points(
 
 
 def _camera_space(pose: CameraPose, points: FloatArray) -> FloatArray:
-    return np.asarray(points @ pose.rotation.T + pose.translation)
+    return points @ pose.rotation.T + pose.translation
 
 
 def _add(

@@ -159,7 +159,7 @@ def _mean_shape(points: FloatArray) -> FloatArray:
         upright = (shapes / _scales(shapes, mean)[:, None, None]) @ turn
         mean = np.median(upright, axis=0)
         mean *= size / np.sqrt((mean**2).sum())
-    return np.asarray(mean)
+    return mean
 
 
 def _scales(points: FloatArray, shape: FloatArray) -> FloatArray:
@@ -168,4 +168,4 @@ def _scales(points: FloatArray, shape: FloatArray) -> FloatArray:
     still = shape - shape.mean(axis=0)
     turned = still @ align_rigid(centred, still).rotations.transpose(0, 2, 1)
     factors = (centred * turned).sum(axis=(1, 2)) / (still**2).sum()
-    return np.asarray(np.maximum(factors, 1e-6))
+    return np.maximum(factors, 1e-6)

@@ -140,7 +140,7 @@ def align_rigid_robust(
             mask = seen[active]
             ordered = np.sort(np.where(mask, residuals[active], np.inf), axis=1)
             middle = (mask.sum(axis=1) - 1) // 2
-            frame_scale = np.asarray(ordered[np.arange(len(ordered)), middle])
+            frame_scale = ordered[np.arange(len(ordered)), middle]
             scale = _INLIER_MEDIANS * np.maximum(frame_scale, take_scale)[:, None]
             fresh = seen[active] / (1.0 + (residuals[active] / scale) ** 2) ** 2
             moved = np.abs(fresh - weights[active]).max(axis=1) > _IRLS_SETTLED
@@ -195,7 +195,7 @@ def alignment_residuals(
     """Return the distance of each point from the aligned reference, (frames, points)."""
     with np.errstate(invalid="ignore", over="ignore"):
         offsets = remove_motion(positions, alignment) - np.asarray(reference, np.float64)
-        return np.asarray(np.nan_to_num(np.linalg.norm(offsets, axis=2), nan=np.inf))
+        return np.nan_to_num(np.linalg.norm(offsets, axis=2), nan=np.inf)
 
 
 def optimal_rotations(

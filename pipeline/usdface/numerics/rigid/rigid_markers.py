@@ -211,6 +211,4 @@ def _sorted_percentile(values: FloatArray, known: IntArray, percent: float) -> F
     below = at.astype(np.int64)
     above = np.minimum(below + 1, np.maximum(known - 1, 0))
     rows = np.arange(len(values))
-    return np.asarray(
-        values[rows, below] + (at - below) * (values[rows, above] - values[rows, below])
-    )
+    return values[rows, below] + (at - below) * (values[rows, above] - values[rows, below])

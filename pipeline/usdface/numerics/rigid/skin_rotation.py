@@ -48,4 +48,4 @@ def skin_rotations(
 
 def rotate_deltas(deltas: FloatArray, rotations: FloatArray) -> FloatArray:
     """Return displacements of each marker, (shapes, markers, 3), rotated by its rotation."""
-    return np.asarray(np.einsum("mij,smj->smi", rotations, deltas, optimize=True))
+    return np.einsum("mij,smj->smi", rotations, deltas, optimize=True)

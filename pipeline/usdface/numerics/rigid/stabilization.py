@@ -151,7 +151,7 @@ def _turn_per_mm(reference: FloatArray, seen: BoolArray) -> FloatArray:
         if len(markers):
             offsets = markers - markers.mean(axis=0)
             widths[rows] = np.linalg.norm(np.linalg.svd(offsets, compute_uv=False)[1:])
-    return np.asarray(1.0 / np.maximum(widths, 1e-9))
+    return 1.0 / np.maximum(widths, 1e-9)
 
 
 def stabilize_by_prior(

@@ -256,7 +256,7 @@ def _without_copies(markers: Markers, take: Take, neutral: int) -> tuple[Markers
     some = frozen & ~every[:, None]
     names = [name for name, each in zip(markers.names, some.any(axis=0), strict=True) if each]
     for rows, frozen_names in ((every, "every marker"), (some.any(axis=1), first_few(names))):
-        spans = runs(np.asarray(rows))
+        spans = runs(rows)
         frames = [f"{take.first_frame + a}-{take.first_frame + b - 1}" for a, b in spans]
         if frames:
             notes.append(

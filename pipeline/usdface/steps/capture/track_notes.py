@@ -115,7 +115,7 @@ def _doubtful_frames(track: FaceTrack, rate: float, frames: IntArray) -> list[st
     """Return notes on the frames in which the face is covered, or cut off by the picture's edge."""
     notes = []
     both_seen = np.isfinite(track.difference).all(axis=1, keepdims=True)
-    covered = _lasting(np.asarray(both_seen & (track.confidence() < 0.5)), rate)
+    covered = _lasting(both_seen & (track.confidence() < 0.5), rate)
     if covered:
         notes.append(
             f"{_named(covered, frames)}: the face is partly covered, as by a hand, or turned away: "
@@ -137,7 +137,7 @@ def _lasting(doubtful: BoolArray, rate: float) -> list[tuple[int, int]]:
     `doubtful` is (pictures, markers).
     """
     stretches: list[tuple[int, int]] = []
-    for start, stop in runs(np.asarray(doubtful.mean(axis=1) > DOUBTFUL_SHARE)):
+    for start, stop in runs(doubtful.mean(axis=1) > DOUBTFUL_SHARE):
         if stretches and start - stretches[-1][1] <= 2 * _LASTING_SECONDS * rate:
             start = stretches.pop()[0]
         stretches.append((start, stop))

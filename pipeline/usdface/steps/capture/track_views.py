@@ -95,7 +95,7 @@ def join_views(
         np.stack([np.where(view.visible, view.confidence, _HIDDEN_WEIGHT) for view in cut])
         * present[..., None]
     )
-    joined = np.asarray(present.sum(axis=0) >= 2)
+    joined = present.sum(axis=0) >= 2
     if not joined.any():
         raise InputError(
             "no frame in which two cameras see a face; cut the videos to the same start"
@@ -202,7 +202,7 @@ def _turned_away(positions: Float32Array) -> BoolArray:
     length = np.linalg.norm(outward, axis=2)
     sight = -axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
     sine = (outward * sight[:, None]).sum(axis=2) / np.maximum(length, 1e-9)
-    return np.asarray(sine < -_PROFILE_SINE)
+    return sine < -_PROFILE_SINE
 
 
 def _behind_lids(closed: BoolArray) -> BoolArray:

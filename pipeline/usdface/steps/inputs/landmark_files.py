@@ -116,4 +116,4 @@ def _at_position(value: Sequence[object], rig: Rig) -> FloatArray:
             f"{given[0]:g}, {given[1]:g}, {given[2]:g}, in the rig's units and axes, is {away:.0f} "
             "mm from its surface; give a position on it"
         )
-    return np.asarray(at)
+    return at

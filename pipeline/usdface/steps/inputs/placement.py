@@ -235,7 +235,7 @@ def virtual_markers(
         places.corners[rows],
         places.weights[rows],
         placement.motion_scale,
-        np.asarray(rotation),
+        rotation,
     )
 
 

@@ -104,7 +104,7 @@ class SourceMotion:
         rig = read_rig(self.rig[0], prim=self.rig[1])
         offsets = Deformer(rig).shapes.target_offsets()
         squares = np.asarray(offsets.multiply(offsets).sum(axis=1)).reshape(1, -1)
-        return np.asarray(columns_by_name(squares, rig.shapes, self.names)[0])
+        return columns_by_name(squares, rig.shapes, self.names)[0]
 
 
 def read_source_motion(

@@ -360,7 +360,7 @@ def read_alpha(path: Path, frames: IntArray) -> FloatArray:
     if (np.diff(times) == 0).any():
         twice = times[1:][np.diff(times) == 0][0]
         raise InputError(f"{path}: frame {twice:g} is keyed twice; keep one")
-    return np.asarray(np.interp(frames, times, values))
+    return np.interp(frames, times, values)
 
 
 def _read_keys(path: Path) -> list[tuple[float, float]]:

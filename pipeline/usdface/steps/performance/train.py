@@ -346,7 +346,7 @@ def _summary(mapping: TrainedMapping, references: References) -> str:
 def variance_shares(mapping: TrainedMapping) -> FloatArray:
     """Return the share of the markers' variance that each component holds: (dimensions,) [0-1]."""
     motion = motion_of(mapping)
-    return np.asarray(motion.variances / motion.total_variance)
+    return motion.variances / motion.total_variance
 
 
 def variance_line(mapping: TrainedMapping) -> str:
