@@ -233,14 +233,17 @@ class LogicSpec(WeightTableSpec):
 
     Such shapes are evaluated, not learned: `select`, `train` and the tuning page show only the
     others, and every layer holds the evaluated weights. The logic is read from names (`A_B` where A
-    and B are shapes of the rig), from a table or a Simplex definition, from metadata, or inferred
-    from weights of a rig that evaluates it. The rig's file does not change: use the new asset,
-    which references it, in its place.
+    and B are shapes of the rig), from a table or a Simplex definition, or inferred from weights of
+    a rig that evaluates it. The rig's file does not change: use the new asset, which references it,
+    in its place.
     """
 
     example = "usdface logic hero.usd --naming --out hero.logic.usda"
     module = "surface.logic"
-    removed: ClassVar[Mapping[str, str]] = {"listed": "--json lists all combinations"}
+    removed: ClassVar[Mapping[str, str]] = {
+        "listed": "--json lists all combinations",
+        "metadata": "write a table with the columns shape and parts, and give it as --definition",
+    }
     only_with: ClassVar[OnlyWith] = {"weight_unit": ("weights", ())}
 
     step: Literal["logic"] = "logic"
@@ -255,9 +258,6 @@ class LogicSpec(WeightTableSpec):
     """Table with the columns shape, parts, and optionally mode (product, minimum or smooth),
     weights and spans, parts separated by spaces (.csv, or .json with lists); or a Simplex
     definition (.json)."""
-    metadata: Annotated[str, Field(max_length=200)] | None = None
-    """Attribute, custom property or customData key of the BlendShape prims that names their
-    drivers."""
     weights: ReadPath | None = None
     """Weights of the rig with its correctives evaluated, to infer the logic from: .csv or .json
     with a `frame` column, or USD."""
@@ -268,8 +268,8 @@ class LogicSpec(WeightTableSpec):
 
     @model_validator(mode="after")
     def _has_a_source(self) -> Self:
-        if not (self.naming or self.definition or self.metadata or self.weights):
-            raise ValueError("give a source: --naming, --definition, --metadata or --weights")
+        if not (self.naming or self.definition or self.weights):
+            raise ValueError("give a source: --naming, --definition or --weights")
         if bool(self.weights) != bool(self.driven):
             raise ValueError("--weights and --driven go together; name the driven shapes and both")
         return self

@@ -130,14 +130,6 @@ def test_tables_and_simplex_say_the_same(rig: Path) -> None:
             logic(rig, definition=listed)
 
 
-def test_metadata_names_the_drivers(rig: Path) -> None:
-    stage = Usd.Stage.Open(str(rig))
-    shape = stage.GetPrimAtPath("/Hero/geo/teeth/jaw_smile_L")
-    shape.SetCustomDataByKey("drivers", "jaw, smile_L")
-    stage.Save()
-    assert stated(rig, metadata="drivers") == {"jaw_smile_L": "jaw_smile_L = jaw * smile_L"}
-
-
 def test_weights_show_it(rig: Path) -> None:
     weights = np.random.default_rng(0).uniform(0, 1, (60, 3)) ** 2
     truth = RigLogic(

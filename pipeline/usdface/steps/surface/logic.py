@@ -17,7 +17,7 @@ from usdface.numerics.regression.combination_inference import infer_combinations
 from usdface.runner.result import StepResult
 from usdface.specs.surface import LogicSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
-from usdface.usdio.rig.read import read_rig, shape_metadata
+from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_logic
 
 _MOST_ROWS = 2000
@@ -35,8 +35,6 @@ def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress) -> StepR
         sources.append(combinations_of_names(shapes))
     if spec.definition is not None:
         sources.append(read_definition(spec.definition))
-    if spec.metadata is not None:
-        sources.append(combinations_of_metadata(shape_metadata(spec.rig, rig.prim, spec.metadata)))
     notes = []
     if spec.weights is not None:
         inferred, note = _inferred(spec, spec.weights, shapes)
@@ -299,24 +297,6 @@ def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
         )
         driven = shape_at(int(named["prog"]), 1.0, f"combo {name}")
         found.append(Combination(driven, parts, _SIMPLEX_MODES[solve]))
-    return tuple(found)
-
-
-def combinations_of_metadata(values: Iterable[tuple[str, object]]) -> tuple[Combination, ...]:
-    """Read combinations from metadata of exporters: the drivers of each shape.
-
-    `values`: shape, and its drivers: a list of names, or text separated by spaces, commas, ``*`` or
-    ``+``.
-    """
-    found = []
-    for shape, value in values:
-        parts = re.split(r"[\s,;*+]+", value.strip()) if isinstance(value, str) else value
-        if not isinstance(parts, Iterable):
-            raise InputError(
-                f"{shape}: its metadata is {value!r}, not names of shapes; name another with "
-                "--metadata"
-            )
-        found.append(Combination(shape, tuple(map(str, parts))))
     return tuple(found)
 
 

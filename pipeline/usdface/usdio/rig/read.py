@@ -85,26 +85,6 @@ def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
             yield str(name), root.GetStage().GetPrimAtPath(target)
 
 
-def shape_metadata(path: Path, prim: str, name: str) -> list[tuple[str, object]]:
-    """Return the shapes with some metadata, and its values.
-
-    Parameters
-    ----------
-    prim : str
-        Path of the SkelRoot.
-    name : str
-        Attribute, also in Blender's namespace ``userProperties:``, or key of customData.
-    """
-    stage, by_shape = open_stage(path), dict[str, object]()
-    for shape, each in shape_prims(stage.GetPrimAtPath(prim)):
-        attributes = [each.GetAttribute(full) for full in (name, f"userProperties:{name}")]
-        values = [attribute.Get() for attribute in attributes if attribute]
-        value = next(filter(None, [*values, each.GetCustomDataByKey(name)]), None)
-        if value is not None:
-            by_shape[shape] = value
-    return list(by_shape.items())
-
-
 def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[str]]:
     """Return each shape's channels if these are named after mesh and shape, as in Maya.
 
