@@ -43,8 +43,6 @@ class PublishItem:
     """Frames per second."""
     timecode_start: str
     """SMPTE timecode of the first frame, empty if unknown."""
-    shapes: int
-    """Number of animated shapes."""
     edited: tuple[str, ...]
     """Shapes edited by an animator."""
     verdict: SolveVerdict | None = None
@@ -90,7 +88,6 @@ def collect_performance(path: Path) -> PublishItem:
         last_frame=reader.last_frame,
         rate=reader.rate,
         timecode_start=reader.timecode_start,
-        shapes=len(reader.names),
         edited=tuple(sorted(reader.edits)),
         verdict=judge_performance(reader),
     )

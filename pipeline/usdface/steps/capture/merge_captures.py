@@ -191,16 +191,18 @@ def _write_wav(path: Path, capture: C3dFile, column: int, frames: range, *, ours
     """Write 16-bit samples, normalised to full scale, in several passes of bounded memory."""
     starts = frames[::_CHUNK_FRAMES]
 
-    def samples(start: int) -> np.ndarray:
+    def samples(start: int) -> FloatArray:
+        """Return samples, NaN where the file has no finite value."""
         stop = min(start + _CHUNK_FRAMES, frames.stop)
-        return capture.read_analog(start, stop)[:, column].astype(np.float64)
+        values = capture.read_analog(start, stop)[:, column].astype(np.float64)
+        return np.where(np.isfinite(values), values, np.nan)
 
-    total = sum(float(np.nansum(_numbers(samples(start)))) for start in starts)
+    total = sum(float(np.nansum(samples(start))) for start in starts)
     count = max(sum(int(np.isfinite(samples(start)).sum()) for start in starts), 1)
     mean = total / count  # the offset voltage of the capture card
 
-    def sound_from(start: int) -> np.ndarray:
-        return np.nan_to_num(_numbers(samples(start)) - mean)  # dropped samples become 0
+    def sound_from(start: int) -> FloatArray:
+        return np.nan_to_num(samples(start) - mean)  # dropped samples become 0
 
     loudest = max((float(np.abs(sound_from(start)).max()) for start in starts), default=0.0)
     scale = 32767.0 / loudest if loudest > 0 else 0.0
@@ -217,11 +219,6 @@ def _write_wav(path: Path, capture: C3dFile, column: int, frames: range, *, ours
                 f"{path}: exists and is not the sound of this take, which is to be written there; "
                 "move the file, or use it with --audio"
             )
-
-
-def _numbers(samples: np.ndarray) -> np.ndarray:
-    """Return samples with infinite values replaced by NaN."""
-    return np.where(np.isfinite(samples), samples, np.nan)
 
 
 _LONG_SECOND = Fraction(1001, 1000)
