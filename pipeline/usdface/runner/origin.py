@@ -86,9 +86,9 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
     seen: set[Path] = set()
     while waiting:
         file = waiting.pop()
-        if file in seen or not file.is_file():
+        if file.resolve() in seen or not file.is_file():
             continue
-        seen.add(file)
+        seen.add(file.resolve())
         named = spec_of(provenance_of(file))
         for name in _TRACED:  # in fixed order: provenance is part of the output's bytes
             if name in given or name not in named:
@@ -274,8 +274,8 @@ def pair_with_files(
 def take_of_performance(performance: Path) -> Path | None:
     """Return the take in a performance's provenance, of the source if retargeted; None if none."""
     file, seen = performance, set[Path]()
-    while file not in seen:
-        seen.add(file)
+    while file.resolve() not in seen:
+        seen.add(file.resolve())
         spec = spec_of(provenance_of(file))
         mapped = "take" in spec and "source" not in spec  # the take of a table is no file
         parts = spec.get("parts") or [None]  # the parts of a joined performance share a take

@@ -19,7 +19,9 @@ from usdface.publish import (
 )
 from usdface.publish.integrate import read_manifest
 from usdface.runner.execute import execute as run
+from usdface.runner.origin import take_of_performance, traced_files
 from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.review import SheetSpec
 from usdface.steps.edits.validate import validate_layers
 from usdface.steps.inputs.solve_verdict import judge_performance, verdict_findings
 from usdface.steps.review.shot import open_shot
@@ -79,20 +81,27 @@ def test_a_retargeting_of_what_is_not_to_be_used_is_not_either(shot: Shot, capsy
     assert verdict_findings(first) == []
 
 
+@pytest.mark.parametrize("way", ["", "../{}/"])
 @pytest.mark.parametrize(("step", "field"), [("retarget", "source"), ("bake", "performance")])
 def test_files_that_name_each_other_as_their_source_are_judged_once(
-    shot: Shot, step: str, field: str
+    shot: Shot, step: str, field: str, way: str
 ) -> None:
+    folder = way.format(shot.folder.name)
     hero, other = shot / "shot.hero.usda", shot / "other.usda"
     other.write_text(hero.read_text("utf-8"), "utf-8")
     for file, source in ((hero, other), (other, hero)):
         layer = Sdf.Layer.FindOrOpen(str(file))
         made = layer.customLayerData["usdface"]
-        spec = json.loads(made["spec"]) | {field: source.name}
+        spec = json.loads(made["spec"]) | {field: folder + source.name}
         made |= {"step": step, "spec": json.dumps(spec)}
         layer.customLayerData = layer.customLayerData | {"usdface": made}
         layer.Save()
     assert judge_performance(PerformanceReader(hero)) is not None
+    assert take_of_performance(hero) is None or step == "bake"
+    traced = traced_files(SheetSpec(performance=hero, out=shot / "s.jpg"))
+    assert {path.resolve() for path in traced} >= (
+        {other.resolve()} if field == "source" else set()
+    )
 
 
 def test_every_solve_of_a_shot_is_judged(shot: Shot) -> None:

@@ -66,13 +66,15 @@ def evidence_of(
 def bad_source(performance: Path, *, judged: frozenset[Path] = frozenset()) -> str:
     """Return the name of a retarget's source performance if its verdict is bad, else ``''``.
 
-    Sources that are missing, takes, or among those `judged` are not judged.
+    Sources that are missing, takes, or among those `judged`, resolved, are not judged.
     """
-    judged = judged | {performance}
+    judged = judged | {performance.resolve()}
     retargeted = find_retargeted(performance)
     source = None if retargeted is None else path_made_from(retargeted, "source")
     try:
-        if source is None or source in judged or not is_usd_name(source) or is_take(source):
+        if source is None or source.resolve() in judged:
+            return ""
+        if not is_usd_name(source) or is_take(source):
             return ""
         verdict = judge_performance(PerformanceReader(source), judged=judged)
     except InputError:  # damaged, or outside USDFACE_ROOT
@@ -90,8 +92,8 @@ def find_retargeted(performance: Path) -> Path | None:
     Of joined parts, the first.
     """
     seen = set[Path]()
-    while performance not in seen:
-        seen.add(performance)
+    while performance.resolve() not in seen:  # relative names add up: a/../b/../a is a
+        seen.add(performance.resolve())
         made = provenance_of(performance)
         if made is None or made.step not in _COPYING_STEPS:
             return performance if made is not None and made.step == "retarget" else None
