@@ -53,21 +53,6 @@ def test_every_page_is_made_and_the_menu_leads_to_every_one(site: Path) -> None:
     assert pages <= led, pages - led
 
 
-def test_fragments_of_changes_are_on_their_page(tmp_path: Path) -> None:
-    docs = tmp_path / "docs"
-    (docs / "changes").mkdir(parents=True)
-    shutil.copy(DOCS / "conf.py", docs)
-    shutil.copytree(DOCS / "site", docs / "site")
-    (docs / "README.md").write_text("# Pages\n\n[Changes](changes/README.md)\n", "utf-8")
-    (docs / "changes" / "README.md").write_text("# Changes\n", "utf-8")
-    (docs / "changes" / "7-new-option.md").write_text("An option more.\n", "utf-8")
-    done = build(docs, tmp_path / "site")
-    assert done.returncode == 0, done.stderr
-    page = (tmp_path / "site" / "changes" / "README.html").read_text("utf-8")
-    assert "New option" in page
-    assert "An option more." in page
-
-
 def test_a_page_loads_nothing_from_another_host(site: Path) -> None:
     pages = list(site.rglob("*.html"))
     assert pages
@@ -82,15 +67,34 @@ DEAD = ("gone.md", "README.md#gone", "images/gone.jpg")
 
 
 @pytest.fixture(scope="module")
-def dead_links(tmp_path_factory: pytest.TempPathFactory) -> subprocess.CompletedProcess[str]:
-    """A build of three pages with a dead link each, below a page with none."""
-    docs = tmp_path_factory.mktemp("docs")
+def small_docs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("docs")
+
+
+@pytest.fixture(scope="module")
+def dead_links(small_docs: Path) -> subprocess.CompletedProcess[str]:
+    """A build of three pages with a dead link each, below a page with none, and of changes."""
+    docs = small_docs
+    (docs / "changes").mkdir()
     shutil.copy(DOCS / "conf.py", docs)
-    (docs / "README.md").write_text("# Pages\n\n[1](1.md) [2](2.md) [3](3.md)\n", encoding="utf-8")
+    shutil.copytree(DOCS / "site", docs / "site")
+    links = "[1](1.md) [2](2.md) [3](3.md) [Changes](changes/README.md)"
+    (docs / "README.md").write_text(f"# Pages\n\n{links}\n", encoding="utf-8")
+    (docs / "changes" / "README.md").write_text("# Changes\n", "utf-8")
+    (docs / "changes" / "7-new-option.md").write_text("An option more.\n", "utf-8")
     for number, dead in enumerate(DEAD, start=1):
         shown = f"![there]({dead})" if dead.endswith("jpg") else f"[there]({dead})"
         (docs / f"{number}.md").write_text(f"# Page {number}\n\n{shown}\n", encoding="utf-8")
-    return build(docs, docs / "site")
+    return build(docs, docs / "made")
+
+
+def test_fragments_of_changes_are_on_their_page(
+    small_docs: Path, dead_links: subprocess.CompletedProcess[str]
+) -> None:
+    assert "changes" not in dead_links.stderr
+    page = (small_docs / "made" / "changes" / "README.html").read_text("utf-8")
+    assert "New option" in page
+    assert "An option more." in page
 
 
 @pytest.mark.parametrize("number", range(1, 1 + len(DEAD)))
