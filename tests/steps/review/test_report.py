@@ -221,11 +221,13 @@ def test_nothing_of_the_page_is_outside_a_narrow_window(
     assert scrub > width / 2
 
 
-def test_the_page_and_evaluate_tell_one_error_of_the_weights(shot: Shot) -> None:
+def test_the_page_and_evaluate_tell_one_error_of_the_weights(
+    keyed: tuple[Shot, StepResult], tmp_path: Path
+) -> None:
     """Both leave out what markers cannot show: the eyes' directions."""
-    execute(spec_of(shot, against=shot / "keys.csv"))
+    shot = keyed[0]
     told = EvaluateSpec(
-        performance=shot / "shot.hero.usda", against=shot / "keys.csv", out=(shot / "e.json",)
+        performance=shot / "shot.hero.usda", against=shot / "keys.csv", out=(tmp_path / "e.json",)
     )
     error = execute(told).figures["weight_rmse"]
     assert f"<td>{error:.3f}</td>" in (shot / "shot.html").read_text(encoding="utf-8")

@@ -47,18 +47,6 @@ def columns_of(shot: Shot, monkeypatch: pytest.MonkeyPatch, **options: object) -
     return pages[0].columns
 
 
-def test_a_comparison_shows_how_far_the_result_is_from_the_truth(shot, monkeypatch) -> None:
-    columns = columns_of(shot, monkeypatch, against=shot / "keys.csv")
-    assert columns == ("markers", "baseline", "solve", "error")
-
-
-def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
-    report = execute(spec_of(shot, layout="worst", rows=3))
-    assert len(report.figures["frames"]) == 3
-    columns = columns_of(shot, monkeypatch, layout="worst", baseline=False, out=shot / "b.png")
-    assert columns == ("markers", "solve", "uncertainty")
-
-
 def test_skin_that_no_region_measures_has_no_uncertainty(shot: Shot, monkeypatch) -> None:
     painted = []
     monkeypatch.setattr(
@@ -79,14 +67,18 @@ def test_skin_that_no_region_measures_has_no_uncertainty(shot: Shot, monkeypatch
         assert np.isnan(np.delete(values, measured)).all()
 
 
-def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkeypatch) -> None:
+def test_a_sheet_of_worst_frames_explains_its_lines_and_a_strip_has_none(
+    shot: Shot, monkeypatch
+) -> None:
     pages = []
     compose = sheet_step.compose_sheet
     monkeypatch.setattr(
         sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
     )
     execute(spec_of(shot, layout="strip"))
-    execute(spec_of(shot, layout="worst", out=shot / "b.png"))
+    worst = spec_of(shot, layout="worst", baseline=False, rows=3, out=shot / "b.png")
+    assert len(execute(worst).figures["frames"]) == 3
+    assert pages[1].columns == ("markers", "solve", "uncertainty")
     told = ["lines: residual" in " ".join(page.notes) for page in pages]
     assert told == ["markers" in page.columns for page in pages] == [False, True]
 
@@ -177,6 +169,7 @@ def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
     )
     execute(spec_of(shot, against=shot / "keys.csv", out=shot / "b.png"))
     assert (pages[1].high, pages[1].comparable) == (1.0, True)
+    assert pages[1].columns == ("markers", "baseline", "solve", "error")
     assert all(re.search(r"references cover \d+% of the frames", p.verdict[1]) for p in pages)
     assert "gaze alone" in " ".join(pages[1].notes)
 
