@@ -193,7 +193,5 @@ def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
     Key offsets are (keys, 3 * points). Returns (keys, keys) ``G`` such that ``sqrt(e @ G @ e)`` is
     the root mean square distance of those points.
     """
-    from scipy import sparse  # imported late: it takes half a second
-
-    part = sparse.csr_array(key_offsets.tocsc()[:, coordinates_of(points)])
+    part = key_offsets[:, coordinates_of(points)]
     return np.asarray((part @ part.T).toarray()) / max(len(points), 1)
