@@ -150,6 +150,8 @@ def test_a_prim_that_is_listed_and_not_there_is_refused_where_usd_would_end(tmp_
     Sdf.CreatePrimInLayer(layer, "/face/brow")
     layer.Save()
     del layer
+    os.utime(path, (1, 1))  # the next writing changes it, however coarse the system's clock is
+    open_stage(path)  # a sound file is not checked again until it is changed
     content = path.read_bytes()
     end = min(each.start for each in sections(content))
     # A list of children: how many, and by number which names.

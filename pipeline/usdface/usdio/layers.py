@@ -116,7 +116,7 @@ def open_stage(path: Path) -> Usd.Stage:
     """Open a stage, with all layers reloaded from disk."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "composing it"):
-        check_reached(layer)
+        _held = check_reached(layer)  # or USD would read them again
         stage = Usd.Stage.Open(layer)
         check_composed(stage)
         for used in stage.GetUsedLayers():

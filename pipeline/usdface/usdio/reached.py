@@ -8,6 +8,7 @@ refers to different files under different roots.
 import contextlib
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -77,12 +78,10 @@ def _key(variables: _Variables) -> str:
 
 def check_composed(stage: Usd.Stage) -> None:
     """Refuse a stage composed from a file outside the confinement, missed by `check_reached`."""
-    root = confinement_root()
-    if root is None:
+    if confinement_root() is None:
         return
     for used in stage.GetUsedLayers(includeClipLayers=True):
-        if used.realPath:
-            _check_confined(stage.GetRootLayer(), used.realPath)
+        _check_confined(stage.GetRootLayer(), used.realPath)
 
 
 def evaluated(asset: str, variables: _Variables) -> str:
@@ -124,9 +123,7 @@ def _files_named(identifier: str) -> Iterator[str]:
     pattern = re.escape(path.name).replace(re.escape("<UDIM>"), r"\d{4}")
     pattern = re.sub(r"(\\#)+", r"-?\\d+", pattern)
     with contextlib.suppress(OSError):
-        for each in path.parent.iterdir():
-            if re.fullmatch(pattern, each.name):
-                yield str(each)
+        yield from (str(each) for each in path.parent.iterdir() if re.fullmatch(pattern, each.name))
 
 
 def _check_confined(layer: Sdf.Layer, identifier: str) -> None:
@@ -150,8 +147,14 @@ def _is_file(identifier: str) -> bool:
 
 def _check_tree(layer: Sdf.Layer) -> None:
     """Refuse a binary layer with a damaged list of specs, on which USD aborts the process."""
-    if layer.GetFileFormat().formatId == "usda":
-        return
+    if layer.GetFileFormat().formatId != "usda":
+        file = Path(Ar.SplitPackageRelativePathOuter(layer.identifier)[0]).stat()
+        _check_specs(layer.identifier, file.st_ino, file.st_size, file.st_mtime_ns)
+
+
+@lru_cache(maxsize=256)  # a step opens a rig's file ten times, and a third of it was this check
+def _check_specs(identifier: str, *_state: int) -> None:
+    layer = Sdf.Layer.Find(identifier)
     for path in paths_in(layer):
         if path.IsPrimPath():
             exists = bool(layer.GetPrimAtPath(path))

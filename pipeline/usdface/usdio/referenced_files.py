@@ -20,14 +20,13 @@ def referenced_files(path: Path) -> list[Path]:
 
 def dependencies(path: Path) -> list[Path]:
     """Return all layers of a USD file, with itself first."""
-    layers, _, _ = _dependencies(path)
+    layers = _dependencies(path)[0]
     return [path, *(layer for layer in layers if layer.resolve() != path.resolve())]
 
 
 def all_files(path: Path) -> list[Path]:
     """Return all files that a USD file refers to, also missing ones."""
-    layers, assets, missing = _dependencies(path)
-    return [*layers, *assets, *missing]
+    return [file for files in _dependencies(path) for file in files]
 
 
 def _dependencies(path: Path) -> tuple[list[Path], list[Path], list[Path]]:
