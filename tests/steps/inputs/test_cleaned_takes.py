@@ -26,6 +26,7 @@ def write(
     positions: FloatArray,
     *,
     names: tuple[str, ...] = NAMES,
+    rigid: tuple[str, ...] = NAMES[:8],
     rate: int = 60,
     **stated: str,
 ) -> Path:
@@ -36,7 +37,7 @@ def write(
         positions=positions.astype(np.float32),
         visible=seen,
         confidence=seen.astype(np.float32),
-        rigid=names[:8],
+        rigid=rigid,
         neutral_frame=1 + neutral,
         space="stabilized",
     )
@@ -82,6 +83,19 @@ def test_the_session_is_kept_and_used(tmp_path: Path) -> None:
     assert read_take(first).session == "monday"
     second = write(tmp_path, "second", from_neutral(1) + GLUE, session="monday")
     assert not read_cleaned_takes((first, second)).neutrals[1].is_reapplied
+
+
+def test_takes_with_other_detected_rigid_markers_meet_by_the_most_frequent(tmp_path: Path) -> None:
+    sets = [(0, 1, 2, 3), (0, 1, 4, 5), (1, 2, 3, 6)]
+    paths = tuple(
+        write(tmp_path, f"take{k}", from_neutral(k), rigid=tuple(NAMES[i] for i in chosen))
+        for k, chosen in enumerate(sets)
+    )
+    assert read_cleaned_takes(paths).rigid == tuple(NAMES[i] for i in (0, 1, 2, 3))
+    with pytest.raises(InputError, match="2 common rigid markers, at least 3 are needed"):
+        read_cleaned_takes(
+            tuple(write(tmp_path, n, from_neutral(0), rigid=NAMES[:2]) for n in "ab")
+        )
 
 
 def test_takes_of_two_performers_are_refused(tmp_path: Path) -> None:

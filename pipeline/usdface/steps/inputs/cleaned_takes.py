@@ -207,7 +207,10 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     shared = set.intersection(*(set(cloud.names) for cloud in clouds))
     names = tuple(name for name in clouds[0].names if name in shared)
     every = dict.fromkeys(name for cloud in clouds for name in cloud.names)
-    rigid = tuple(name for name in names if all(name in cloud.rigid for cloud in clouds))
+    # Rigid in every take, or in as many as the third of them: sets that are detected differ.
+    votes = [sum(name in cloud.rigid for cloud in clouds) for name in names]
+    least = sorted([1] * FEWEST_RIGID + votes)[-FEWEST_RIGID]
+    rigid = tuple(name for name, count in zip(names, votes, strict=True) if count >= least)
     _check_marker_sets(paths, clouds, names, rigid)
     positions, usable = [], []
     for cloud in clouds:
