@@ -46,8 +46,9 @@ _CRITICAL_T = 3.0
 """All keys count as mirrored if Student's t of the mean cosine between the asymmetries of keys and
 proposals is below its negative."""
 _MIRRORED_COSINE, _LEAST_ASYMMETRY = -0.5, 0.15
-"""A pair counts as mirrored below this cosine; least length of both asymmetries. In eighty correct
-pairs of two performers, the cosine was above -0.3."""
+_LEAST_ASYMMETRY_SHARE = 0.3
+"""A pair counts as mirrored below this cosine; least length of both asymmetries, and of that of the
+keys relative to the keys: what is left of symmetric expressions by keys with errors of 15 %."""
 
 _SHOWN_MM = 0.5
 """Largest displacement of a marker by a full shape, below which markers do not show the shape."""
@@ -149,18 +150,18 @@ def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
     except InputError:  # pairs without proposals, or with those of another rig
         return []
     other = mirrored_shapes(references.shape_names)
-    keyed, proposed = (
-        each[rows] - each[np.ix_(rows, other)] for each in (references.weights, proposals)
-    )
-    keyed[:, gaze_and_tongue_shapes(references.shape_names)] = 0.0
-    sizes = np.linalg.norm(keyed, axis=1), np.linalg.norm(proposed, axis=1)
-    cosine = (keyed * proposed).sum(axis=1) / np.maximum(sizes[0] * sizes[1], 1e-12)
-    known = np.minimum(*sizes) > _LEAST_ASYMMETRY
+    weights = np.stack([references.weights[rows], proposals[rows]])
+    weights[:, :, gaze_and_tongue_shapes(references.shape_names)] = 0.0
+    asymmetries = weights - weights[:, :, other]
+    sizes = np.linalg.norm(asymmetries, axis=2)
+    cosine = np.prod(asymmetries, axis=0).sum(axis=1) / np.maximum(np.prod(sizes, axis=0), 1e-12)
+    known = sizes.min(axis=0) > _LEAST_ASYMMETRY
     judged = cosine[known]
     if len(judged) > 1 and judged.mean() < -_CRITICAL_T * judged.std() / len(judged) ** 0.5:
         which = "the keys"
     else:
-        wrong = rows[known & (cosine < _MIRRORED_COSINE)]
+        one_sided = sizes[0] > _LEAST_ASYMMETRY_SHARE * np.linalg.norm(weights[0], axis=1)
+        wrong = rows[known & one_sided & (cosine < _MIRRORED_COSINE)]
         if not len(wrong):
             return []
         which = counted((1 + wrong).tolist(), "pair")
