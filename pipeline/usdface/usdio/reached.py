@@ -8,7 +8,6 @@ refers to different files under different roots.
 import contextlib
 import re
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -147,14 +146,8 @@ def _is_file(identifier: str) -> bool:
 
 def _check_tree(layer: Sdf.Layer) -> None:
     """Refuse a binary layer with a damaged list of specs, on which USD aborts the process."""
-    if layer.GetFileFormat().formatId != "usda":
-        file = Path(Ar.SplitPackageRelativePathOuter(layer.identifier)[0]).stat()
-        _check_specs(layer.identifier, file.st_ino, file.st_size, file.st_mtime_ns)
-
-
-@lru_cache(maxsize=256)  # a step opens a rig's file ten times, and a third of it was this check
-def _check_specs(identifier: str, *_state: int) -> None:
-    layer = Sdf.Layer.Find(identifier)
+    if layer.GetFileFormat().formatId == "usda":
+        return
     for path in paths_in(layer):
         if path.IsPrimPath():
             exists = bool(layer.GetPrimAtPath(path))
