@@ -373,8 +373,9 @@ class References(_Asset):
     """Author of the weights of each pair; empty if unknown."""
     performer: str = ""
     session: str = ""
-    """`performer`, `session`: Of the take with this head space and neutral face; empty if
-    unknown."""
+    neutral_take: str = ""
+    """`performer`, `session`, `neutral_take`: Of the take with this head space and neutral face;
+    empty if unknown."""
     rate: float = 0.0
     """Frames per second of the first take; 0 if unknown."""
     placement: Path | None = None

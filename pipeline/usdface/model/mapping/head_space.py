@@ -1,6 +1,6 @@
 """Alignment of a take with a performer's marker order, head space and neutral face."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace
-from usdface.model.mapping.take_neutral import TakeNeutral, compare_neutral
+from usdface.model.mapping.take_neutral import MIN_OFFSET_MM, TakeNeutral, compare_neutral
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.pose_error import PoseErrors
@@ -89,6 +89,8 @@ class HeadSpace:
     """(markers,): share of the variance of a marker's motion that is not an error of the offset."""
     pose_errors: PoseErrors | None = None
     """Of the take's frames; None if the rig's motion of the markers is not known."""
+    pair_offset: FloatArray | float = 0.0
+    """(markers, 3): offset that the take's reference pairs show, in the take's space [mm]."""
 
     def place(self, markers: Markers) -> MappedMarkers:
         """Return frames of the take in the mapping's order, head space and neutral face."""
@@ -103,7 +105,8 @@ class HeadSpace:
 
     def move(self, positions: Float32Array, visible: BoolArray) -> Float32Array:
         """Align positions in the mapping's order, (frames, markers, 3) [mm], with its neutral."""
-        flat = positions.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
+        flat = positions - np.float32(self.pair_offset)
+        flat = flat.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
         flat += self.shift.astype(np.float32)
         moved: Float32Array = flat.reshape(positions.shape)
         if self.pose_errors is not None and self.pose_errors.size_mm:
@@ -117,7 +120,8 @@ class HeadSpace:
 
         Errors of its poses are not restored.
         """
-        return np.asarray((positions + self.neutral.offset - self.shift) @ self.rotation)
+        moved = (positions + self.neutral.offset - self.shift) @ self.rotation
+        return np.asarray(moved + self.pair_offset)
 
 
 def find_head_space(
@@ -126,6 +130,7 @@ def find_head_space(
     *,
     rate: float,
     frames: IntArray | None = None,
+    take: str = "",
     performer: str = "",
     session: str = "",
 ) -> HeadSpace:
@@ -142,8 +147,8 @@ def find_head_space(
         Frames per second.
     frames : (frames,) int array, optional
         Frame numbers of the sample; by default they begin at 0.
-    performer, session : str
-        Of the take; empty if unknown.
+    take, performer, session : str
+        Names; empty if unknown.
 
     Raises
     ------
@@ -151,14 +156,14 @@ def find_head_space(
         If the take is not stabilised, shares too few markers with the face, its rigid markers are
         too few, collinear, or too far from the performer's, or it is another performer's.
     """
-    if markers.space != "stabilized":
-        raise InputError("the take still holds head motion; run the clean step on it first")
     slots, columns = _common_markers(face, markers)
     count = len(face.marker_names)
     positions, visible = _in_order(markers, columns, slots, count)
-    rotation, shift = _rigid_transform(face, positions, visible)
-    picks = sample_frames(len(positions), SAMPLE_FRAMES)
     numbers = np.arange(len(positions)) if frames is None else frames
+    by_pairs = _align_pairs(face, take, numbers, positions)
+    rotation, shift, pair_offset = by_pairs or (*_rigid_transform(face, positions, visible), 0.0)
+    positions = positions - np.float32(pair_offset)
+    picks = sample_frames(len(positions), SAMPLE_FRAMES)
     if frames is not None:
         picks = np.union1d(picks, np.flatnonzero(numbers == markers.neutral_frame))
     seen = visible[picks]
@@ -186,21 +191,40 @@ def find_head_space(
         neutral = compare(errors.remove(align(), seen))
     else:
         neutral = compare(align())
-        if neutral.offset.any():
+        if neutral.offset.any() and by_pairs is None:
             # The median of rigid markers, which sit on skin, depends on the take's expressions. The
             # offset compares equal expressions: its rigid part is an error of the head space.
             turn, step = _rigid_part(face, neutral.offset, np.asarray(seen.any(axis=0)))
             rotation, shift = turn @ rotation, turn @ shift + step
             neutral = compare(align())
-    missing, extra = (
-        tuple(name for name in names if name not in others)
-        for names, others in (
-            (face.marker_names, markers.names),
-            (markers.names, face.marker_names),
-        )
-    )
+    if by_pairs is not None:
+        neutral = replace(neutral, offset=np.zeros_like(neutral.offset), offset_mm=0.0)
+    missing = tuple(name for name in face.marker_names if name not in markers.names)
+    extra = tuple(name for name in markers.names if name not in face.marker_names)
     known = _known_share(face, neutral)
-    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral, known, errors)
+    return HeadSpace(
+        columns, slots, count, rotation, shift, missing, extra, neutral, known, errors, pair_offset
+    )
+
+
+def _align_pairs(
+    face: PerformerFace, take: str, numbers: IntArray, positions: Float32Array
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return the transform that maps a take's frames to its own reference pairs.
+
+    Rotation, shift, and the offset that was removed from the pairs, in the take's space. None if
+    the pairs are fewer than two, or frames of another take of that name.
+    """
+    frames, markers = face.pairs.get(take, (numbers[:0], face.frames[:0]))
+    _, rows, pairs = np.intersect1d(numbers, frames, return_indices=True)
+    if len(rows) < 2:
+        return None
+    middle, target = positions[rows].mean(axis=0), markers[pairs].mean(axis=0)
+    rotation, shift = _robust_transform(middle, target)
+    offset = middle - (target - shift) @ rotation
+    away = positions[rows] - offset - (markers[pairs] - shift) @ rotation
+    scatter_mm = np.sqrt((away**2).sum(axis=2).mean())
+    return (rotation, shift, offset) if scatter_mm < MIN_OFFSET_MM else None
 
 
 def _known_share(face: PerformerFace, neutral: TakeNeutral) -> FloatArray:
@@ -211,6 +235,8 @@ def _known_share(face: PerformerFace, neutral: TakeNeutral) -> FloatArray:
 
 def _common_markers(face: PerformerFace, markers: Markers) -> tuple[IntArray, IntArray]:
     """Return the indices of the common markers in the face, and in the take."""
+    if markers.space != "stabilized":
+        raise InputError("the take still holds head motion; run the clean step on it first")
     index = {name: i for i, name in enumerate(markers.names)}
     common = [name for name in face.marker_names if name in index]
     known = len(face.marker_names)

@@ -1,10 +1,10 @@
 """A performer's head space, neutral face and sample of expressions, to which takes are aligned."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.motion_space import thinned_sample
@@ -30,6 +30,8 @@ class PerformerFace:
     """`performer`, `session`: Of the take that defines the space; empty if unknown."""
     expressions: ExpressionMotion | None = None
     """With which errors of poses are found; None if not known."""
+    pairs: dict[str, tuple[IntArray, FloatArray]] = field(default_factory=dict)
+    """By take, the frames of its reference pairs, and their markers without the take's offset."""
 
 
 def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
@@ -49,6 +51,8 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
     frames = mapping.arrays["motion_mean"] + (
         mapping.arrays["takes_sample"] @ mapping.arrays["motion_components"]
     )
+    takes = str(mapping.settings.get("pair_takes", "")).split("; ")
+    pairs = mapping.arrays.get("pair_frames", np.zeros((0, 2))).astype(np.int64)
     return PerformerFace(
         mapping.marker_names,
         mapping.rigid,
@@ -58,6 +62,11 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
         str(mapping.settings.get("performer", "")),
         str(mapping.settings.get("session", "")),
         ExpressionMotion.from_arrays(mapping.arrays, mapping.neutral),
+        {
+            take: (pairs[rows, 1], mapping.arrays["pair_markers"][rows])
+            for index, take in enumerate(takes)
+            if (rows := pairs[:, 0] == index).any()
+        },
     )
 
 

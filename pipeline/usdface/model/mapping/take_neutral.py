@@ -8,6 +8,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace
+from usdface.model.regressions.forward_model import ForwardModel
 from usdface.numerics.registration.marker_application import (
     compare_neighbours,
     find_offset,
@@ -50,6 +51,14 @@ _MIN_MARKERS = 8
 
 _LISTED_MARKERS = 4
 """Markers of largest offset named in a note."""
+
+
+_MIN_KEYED_OFFSET_MM = 0.3
+"""Root mean square over markers from which an offset told by keys is removed."""
+
+_OFFSET_DEVIATIONS_MM = (0.3, 0.6, 1.2, 2.4, 4.8)
+"""Candidates of the standard deviation of a marker's offset on an axis: from what differs between
+matched expressions to markers that were applied by eye."""
 
 
 @dataclass(frozen=True)
@@ -235,3 +244,42 @@ def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -
         f"the take is of another performer: {difference}. Give takes of one performer; if it is "
         "the same one, ingest every take with `usdface ingest --performer NAME`"
     )
+
+
+def find_take_offsets(forward: ForwardModel, take: IntArray) -> FloatArray:
+    """Return the offset of each take's markers, as its keys tell: (takes, markers, 3) [mm].
+
+    The residuals of a marker's pairs under the forward model are r ~ N(0, C). Each take but the
+    first adds an offset to its pairs, Z o with o ~ N(0, s^2) on each axis::
+
+        o = (Z'C^-1 Z + 1/s^2)^-1 Z'C^-1 r
+
+    s, of all markers, maximises the likelihood of r.
+
+    Parameters
+    ----------
+    forward : ForwardModel
+        Fitted to the pairs.
+    take : (pairs,) int array
+        Index of each pair's take, 0 that of the neutral.
+    """
+    count = int(take.max()) + 1
+    member = (take[:, None] == np.arange(1, count)).astype(np.float64)
+    precision = member.T @ forward.inverse @ member
+    score = np.einsum("nt,nkc->ktc", member, forward.dual)
+    found = [_offset_posterior(precision, score, deviation) for deviation in _OFFSET_DEVIATIONS_MM]
+    gain, mean = max(found, key=lambda each: each[0])
+    offsets = np.zeros((count, *forward.dual.shape[1:]))
+    offsets[1:] = mean.transpose(1, 0, 2) * (gain > 0)
+    size = np.sqrt((offsets**2).sum(axis=2).mean(axis=1))
+    return np.asarray(offsets * (size >= _MIN_KEYED_OFFSET_MM)[:, None, None])
+
+
+def _offset_posterior(
+    precision: FloatArray, score: FloatArray, deviation_mm: float
+) -> tuple[float, FloatArray]:
+    """Return the gain of log likelihood by offsets, and their mean: (markers, takes, 3) [mm]."""
+    prior = np.eye(precision.shape[1]) / deviation_mm**2
+    mean = np.linalg.solve(precision + prior, score)
+    log_volume = np.linalg.slogdet((precision + prior) * deviation_mm**2)[1]
+    return 0.5 * float((score * mean).sum() - 3 * log_volume.sum()), mean

@@ -19,6 +19,7 @@ from usdface.model.mapping.checks import check_dimensions, check_references, che
 from usdface.model.mapping.corrected_pairs import (
     CorrectedPairs,
     find_contradicted,
+    fit_pairs_forward,
     fit_rig_prior,
 )
 from usdface.model.mapping.motion_space import (
@@ -36,6 +37,7 @@ from usdface.model.mapping.regions import (
     regions_without_markers,
     regions_without_shapes,
 )
+from usdface.model.mapping.take_neutral import find_take_offsets
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import find_method
 from usdface.model.regressions.base import (
@@ -47,6 +49,7 @@ from usdface.model.regressions.base import (
     Pairs,
     RestPlaces,
 )
+from usdface.model.regressions.forward_model import ForwardScales
 from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.model.regressions.shape_sides import ShapeSides
 from usdface.numerics.measure.face_regions import (
@@ -127,7 +130,8 @@ def train_mapping(
     face = _face(references, checked, sides, gram=gram, skin=skin, rest=rest)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=face.motion)
     progress(0.0, "fitting the forward model")
-    checked, face, pose_arrays, pose_error_mm = _remove_pose_errors(checked, face)
+    aligned = _remove_take_offsets(checked, face)
+    checked, face, pose_arrays, pose_error_mm = _remove_pose_errors(aligned, face)
     folds = PairFolds(_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
@@ -151,10 +155,12 @@ def train_mapping(
             | error_arrays
             | sides.to_arrays()
             | pose_arrays
+            | _pair_arrays(aligned)
         ),
         settings=fitted.settings
         | _region_settings(checked, folds, regions)
         | _key_settings(folds, checked)
+        | {"pair_takes": "; ".join(sorted(set(checked.takes)))}
         | {"limited_weights": check.limited_weights, "pose_error_mm": pose_error_mm}
         | {"unobservable_shapes": int((~compared.observable).sum())},
         scores=compared.scores,
@@ -183,6 +189,24 @@ def _face(
         rest=rest,
         neutral=checked.neutral.astype(np.float64),
     )
+
+
+def _pair_arrays(references: References) -> Arrays:
+    """Return the pairs' frames and markers, by which their takes are aligned when mapped."""
+    take = np.unique(references.takes, return_inverse=True)[1]
+    rows = np.stack([take, references.frames], axis=1)
+    return {"pair_frames": rows, "pair_markers": references.markers}
+
+
+def _remove_take_offsets(references: References, face: Face) -> References:
+    """Remove the offsets of the takes' markers from the pairs; see `find_take_offsets`."""
+    names = list(dict.fromkeys([references.neutral_take, *references.takes]))
+    take = np.array([names.index(each) for each in references.takes])
+    if not references.neutral_take or not take.any():
+        return references
+    offsets = find_take_offsets(fit_pairs_forward(_pairs(references, face), ForwardScales()), take)
+    markers = references.markers - offsets[take]
+    return replace(references, markers=markers.astype(references.markers.dtype))
 
 
 def _remove_pose_errors(

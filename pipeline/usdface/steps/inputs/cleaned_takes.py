@@ -21,8 +21,10 @@ from usdface.usdio.take.read import TakeReader, read_take
 def take_head_space(take: TakeReader, face: PerformerFace) -> HeadSpace:
     """Find the transform from a take's markers to those of a face, from frames all over it."""
     picks = np.array(spread_frames(take, SAMPLE_FRAMES))
-    if take.first_frame <= take.neutral_frame <= take.last_frame:
-        picks = np.union1d(picks, take.neutral_frame)
+    pairs = face.pairs.get(take.name, [[]])[0]
+    extra = np.append(pairs, take.neutral_frame).astype(np.int64)
+    inside = (take.first_frame <= extra) & (extra <= take.last_frame)
+    picks = np.union1d(picks, extra[inside])
     sample = read_markers_at(take, picks.tolist())
     with as_input_error(take.path, of=InputError):
         return _head_space(face, sample, picks, take)
@@ -36,6 +38,7 @@ def _head_space(
         sample,
         frames=frames,
         rate=float(take.rate),
+        take=take.name,
         performer=take.performer,
         session=take.session,
     )
@@ -166,6 +169,7 @@ class CleanedTakes:
             combinations=rig.combinations,
             performer=first.performer,
             session=first.session,
+            neutral_take=first.name,
             rate=float(first.rate),
         )
 

@@ -92,6 +92,7 @@ def read_references(path: Path) -> References:
         authors=_labels(root, AUTHOR, pairs),
         performer=text_of(root, "face:performer"),
         session=text_of(root, "face:session"),
+        neutral_take=text_of(root, "face:neutralTake"),
         rate=_read_rate(root, path),
         placement=_read_placement_path(root, path),
         source_names=source_names,

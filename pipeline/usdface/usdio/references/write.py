@@ -192,6 +192,7 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
     for name, text in (
         ("face:performer", references.performer),
         ("face:session", references.session),
+        ("face:neutralTake", references.neutral_take),
     ):
         if text:
             author_uniform(root, name, Sdf.ValueTypeNames.String, text)
