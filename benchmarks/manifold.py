@@ -22,7 +22,6 @@ METHODS: dict[str, Callable[[SurfaceDistances, FloatArray], SurfaceModel]] = {
     "GP, shared sample, folds as the rest": partial(
         fit_gp_surface, options=GpOptions(sampler="shared", folds=False)
     ),
-    "GP, mode and Laplace": partial(fit_gp_surface, options=GpOptions(sampler="map")),
     "GP, HMC": partial(fit_gp_surface, options=GpOptions()),
     "GP, HMC, w chosen": partial(fit_gp_surface, options=GpOptions(blend=None)),
     "GP, HMC, w = 1": partial(fit_gp_surface, options=GpOptions(blend=1.0)),

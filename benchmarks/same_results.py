@@ -120,7 +120,6 @@ def _commands(rigid: str, neutral: str) -> Iterator[str]:
     yield "bind x.clean.take.usda facecap_head.usdc --out b.binding.usda"
     for label, options in (
         ("hmc", "--sampler hmc"),
-        ("map", "--sampler map"),
         ("shared", "--sampler shared"),
     ):
         yield (

@@ -54,15 +54,14 @@ class BindSpec(Spec):
 
 _Method = Literal["gp", "rbf"]
 
-_Sampler = Literal["hmc", "map", "shared"]
+_Sampler = Literal["hmc", "shared"]
 
-_Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
+_Metric = Literal["dijkstra", "dijkstra-diagonals"]
 
 _Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 
-_FOR_SAMPLES = ("samples", "burn_in")
-_FOR_GP = ("sampler", *_FOR_SAMPLES, "covariance", "priors", "prior_spread", "length_scale")
-"""Options of the samplers only, and of the Gaussian process only."""
+_FOR_GP = ("sampler", "samples", "burn_in", "covariance", "priors", "prior_spread", "length_scale")
+"""Options of the Gaussian process only."""
 
 
 class SurfaceSpec(Spec):
@@ -90,8 +89,7 @@ class SurfaceSpec(Spec):
     every marker."""
     sampler: _Sampler = "shared"
     """Treatment of the hyper-parameters of `gp`: `hmc` averages samples for each frame and axis, as
-    published (Wang et al. 2006); `shared` samples for the whole take, with the least jitter; `map`
-    uses the most probable values of each frame and axis."""
+    published (Wang et al. 2006); `shared` samples for the whole take, with the least jitter."""
     samples: Annotated[int, Field(ge=8, le=10_000)] = 200
     """Number of samples that `hmc` and `shared` average; 200 in the paper."""
     burn_in: Annotated[int, Field(ge=8, le=10_000)] = 40
@@ -116,27 +114,24 @@ class SurfaceSpec(Spec):
     """Let points inside of lips and lids follow the markers of the same lip or lid. The paper has
     no such rule."""
     metric: _Metric = "dijkstra-diagonals"
-    """Distance along the surface: over edges (`dijkstra`, as published), over edges and face
-    diagonals, or by the heat method."""
+    """Distance along the surface: over edges (`dijkstra`, as published), or over edges and face
+    diagonals."""
     length_scale: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     """Distance over which the motion of points is correlated, in mm; 1 in the paper, in a unit that
     it does not state. Default: fitted to the take."""
     reach: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     """Distance from every marker beyond which points do not move, in mm along the surface; motion
-    fades from half of it. 10000 for the field as published. Default: four times the marker
-    spacing."""
+    fades from half of it. 10000 for the field as published. Default: four times the root mean
+    square distance of markers to the nearest other."""
     quality: Literal["draft", "final"] = "final"
     """`draft` omits soft shadows and ambient occlusion from the picture."""
 
     @model_validator(mode="after")
     def _options_of_the_method(self) -> Self:
-        for choice, unused in (
-            ("--method rbf", _FOR_GP if self.method == "rbf" else ()),
-            ("--sampler map", _FOR_SAMPLES if self.sampler == "map" else ()),
-        ):
-            if given := [name for name in unused if self.is_given(name)]:
-                options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-                raise ValueError(f"{choice} does not use {options}; leave it out")
+        given = [name for name in _FOR_GP if self.is_given(name)]
+        if self.method == "rbf" and given:
+            options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+            raise ValueError(f"--method rbf does not use {options}; leave it out")
         return self
 
 

@@ -31,7 +31,7 @@ def test_an_island_without_a_marker_follows_by_straight_lines_and_is_reported(mo
         distances.geodesic_to_points[:, start:], distances.euclidean_to_points[:, start:]
     )
     assert "9 of 989 points are on 1 separate part without" in distances.unreached.describe([])[0]
-    options = GpOptions(sampler="map")
+    options = GpOptions(sampler="shared")
     found = fit_gp_surface(distances, mouth.markers(), options).deform(mouth.markers())
     assert np.isfinite(found.mean).all()
     assert found.sd is not None

@@ -26,7 +26,7 @@ def test_without_noise_errors_are_no_larger_than_of_multiquadrics_and_lips_part(
 ) -> None:
     moved = mouth.markers()
     rbf = fit_rbf_surface(mouth.distances(), moved).deform(moved)
-    process = fit(mouth, moved, sampler="map").deform(moved)
+    process = fit(mouth, moved, sampler="shared").deform(moved)
     assert rms(mouth, process.mean) <= rms(mouth, rbf.mean)
     true = opening(mouth, mouth.motion)
     assert 0.8 * true < opening(mouth, process.mean) < 1.05 * true
@@ -47,7 +47,7 @@ def test_lips_that_follow_their_side_have_smaller_errors_and_the_rest_no_larger(
     assert rms(mouth, with_folds) < 1.05 * rms(mouth, without)
 
 
-@pytest.mark.parametrize("sampler", [pytest.param("hmc", marks=pytest.mark.slow), "map", "shared"])
+@pytest.mark.parametrize("sampler", [pytest.param("hmc", marks=pytest.mark.slow), "shared"])
 def test_noise_is_smoothed_and_95_percent_intervals_contain_95_percent(
     mouth: Mouth, sampler: str
 ) -> None:
@@ -98,7 +98,7 @@ def test_the_published_covariance_and_samples_are_options(mouth: Mouth) -> None:
     assert rms(mouth, found.deform(moved).mean) < 1.0
 
 
-@pytest.mark.parametrize("sampler", ["hmc", "map"])
+@pytest.mark.parametrize("sampler", ["hmc", "shared"])
 def test_a_face_that_comes_again_moves_the_mesh_alike(mouth: Mouth, sampler: str) -> None:
     """Chance must not make the mesh jitter, wherever in a take a frame is."""
     moved = mouth.markers(noise=0.5)[:3]
@@ -121,7 +121,7 @@ def test_streaming_gives_what_deforming_gives_in_parts_that_stay_small(
     mouth: Mouth, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     moved = mouth.markers(noise=0.3)
-    fitted = fit(mouth, moved, sampler="map", length_scale=40.0)
+    fitted = fit(mouth, moved, sampler="shared", length_scale=40.0)
     long = np.tile(moved, (9, 1, 1))
     whole = fitted.deform(long)
     monkeypatch.setattr(surface_fit, "_FIELD_VALUES", 7 * fitted.point_count)
@@ -142,12 +142,12 @@ def test_the_same_take_moves_the_same_way_twice(mouth: Mouth) -> None:
 
 def test_open_settings_are_chosen_by_leaving_markers_out(mouth: Mouth) -> None:
     moved = mouth.markers()[::5]
-    chosen, given = (fit(mouth, moved, sampler="map", blend=blend) for blend in (None, 0.0))
+    chosen, given = (fit(mouth, moved, sampler="shared", blend=blend) for blend in (None, 0.0))
     assert chosen.diagnostics.left_out_rms_mm < given.diagnostics.left_out_rms_mm
     assert 0 < chosen.length_scale < 200
 
 
-@pytest.mark.parametrize("sampler", ["hmc", "map", "shared"])
+@pytest.mark.parametrize("sampler", ["hmc", "shared"])
 def test_a_face_at_rest_stays_at_rest(mouth: Mouth, sampler: str) -> None:
     still = np.zeros((3, len(mouth.chosen), 3))
     found = fit(mouth, still, sampler=sampler, length_scale=40.0, samples=40).deform(still)
@@ -175,7 +175,7 @@ def test_displacements_and_settings_that_cannot_be_are_refused(
 
 def test_no_frames_give_no_frames(mouth: Mouth) -> None:
     moved = mouth.markers()[:4]
-    fitted = fit(mouth, moved, sampler="map", length_scale=40.0)
+    fitted = fit(mouth, moved, sampler="shared", length_scale=40.0)
     found = fitted.deform(np.zeros((0, len(mouth.chosen), 3)))
     assert found.mean.shape == (0, len(mouth.points), 3)
     assert found.sd is not None

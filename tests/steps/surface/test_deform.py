@@ -524,7 +524,6 @@ def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:
         ({"device": "cuda"}, "device"),
         ({"method": "rbf", "sampler": "hmc"}, "--method rbf does not use --sampler"),
         ({"method": "rbf", "length_scale": 20.0}, "--method rbf does not use --length-scale"),
-        ({"sampler": "map", "samples": 50}, "--sampler map does not use --samples"),
         ({"priors": (1.0, 0.0, 1.0, 1.0)}, "greater than 0"),
     ],
 )

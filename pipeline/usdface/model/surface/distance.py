@@ -132,8 +132,8 @@ def surface_distances(
         Polygons as USD stores them.
     markers : SurfacePoints
         M places on the mesh.
-    metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
-        Shortest paths along edges, as in the paper; along edges and diagonals; the heat method.
+    metric : {'dijkstra', 'dijkstra-diagonals'}
+        Shortest paths along edges, as in the paper, or along edges and diagonals.
     """
     if len(markers.faces) < FEWEST_MARKERS:
         raise InputError(

@@ -31,8 +31,6 @@ from usdface.numerics.manifold.hyper_posterior import (
     decompose,
 )
 from usdface.numerics.manifold.hyper_sampling import (
-    draw_laplace,
-    find_modes,
     fit_shared_mode,
     sample_hyperparameters,
     sample_shared,
@@ -58,7 +56,7 @@ from usdface.numerics.manifold.surface_fields import (
 )
 from usdface.numerics.manifold.unseen_markers import unseen_variances
 
-Sampler = Literal["hmc", "map", "shared"]
+Sampler = Literal["hmc", "shared"]
 
 SCALES_TRIED = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 12.0)
 """Length scales, in units of the median distance from a marker to the nearest other."""
@@ -68,9 +66,6 @@ SAMPLES_PUBLISHED = 200
 
 _CALIBRATION_SAMPLES = 10
 """Samples of each chain for the calibration of intervals."""
-
-_LAPLACE_DRAWS = 16
-"""Draws of the Laplace approximation with the sampler ``'map'``."""
 
 _SAMPLED_FRAMES = 1024
 """Frames whose chains run together: half as many take 20 % longer and 75 MB less memory."""
@@ -84,8 +79,8 @@ class GpOptions:
     """Options of `fit_gp_surface`."""
 
     sampler: Sampler = "hmc"
-    """Hyper-parameters: Hybrid Monte Carlo for each frame and axis, as published (``'hmc'``);
-    Laplace approximation at the mode (``'map'``); one set for the whole take (``'shared'``)."""
+    """Hyper-parameters: Hybrid Monte Carlo for each frame and axis, as published (``'hmc'``), or
+    for the whole take (``'shared'``)."""
     blend: float | None = BLEND_PUBLISHED
     """Share of the geodesic distance [0-1]; None: chosen by leave-one-out."""
     length_scale: float | None = None
@@ -160,14 +155,10 @@ class GpSurface(SurfaceModel):
         # The same random numbers for all frames: sampling errors of neighbouring frames are equal.
         rng = CommonRandomNumbers(np.random.default_rng(self.options.seed))
         rows = _rows_of_axes(moved)
-        if self.options.sampler == "map":
-            modes = find_modes(self.table, rows)
-            theta = draw_laplace(rng, self.table, modes, keep=_LAPLACE_DRAWS)
-        else:
-            samples, _ = sample_hyperparameters(
-                rng, self.table, rows, burn=self.options.burn_in, keep=self.options.samples
-            )
-            theta = samples.theta
+        samples, _ = sample_hyperparameters(
+            rng, self.table, rows, burn=self.options.burn_in, keep=self.options.samples
+        )
+        theta = samples.theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
     def _fields(self, moved: FloatArray, measured: BoolArray, theta: FloatArray) -> SurfaceMotion:
@@ -298,8 +289,6 @@ def _sample_fitted(
             "effective_samples": shared.effective_samples,
             "rhat": shared.rhat,
         }
-    if options.sampler == "map":
-        return find_modes(table, rows).theta[None], {}
     burn, keep = options.burn_in, options.samples
     first, modes = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep)
     second, _ = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep, modes=modes)

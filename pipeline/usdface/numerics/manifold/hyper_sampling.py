@@ -120,15 +120,6 @@ def sample_hyperparameters(
     return ChainSamples(theta, samples.acceptance), found
 
 
-def draw_laplace(rng: RandomSource, table: SharedTable, modes: Modes, *, keep: int) -> FloatArray:
-    """Draw theta from the Gaussian around the best mode: (keep, 4, chains)."""
-    mode, root = modes.best.mode, modes.best.root
-    drawn = rng.standard_normal((keep, *mode.shape))
-    phi = mode[:, None] + np.einsum("abc,kbc->akc", root, drawn)
-    theta = to_theta(phi, noise_gain(table.spectrum))
-    return np.asarray(np.moveaxis(theta, 0, 1), np.float64)
-
-
 def _distance(of: LaplaceFit, to: LaplaceFit) -> RealArray:
     white = of.whiten(to.mode)
     return np.asarray(np.sqrt(np.sum(white * white, axis=0)))

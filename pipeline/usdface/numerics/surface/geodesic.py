@@ -1,16 +1,14 @@
 """Geodesic distances from places on a mesh to all its points: W06, "Geodesic manifold distances".
 
-Three metrics: the paper's, Dijkstra's algorithm on the edges; the same with the diagonals of every
-polygon; and the heat method (Crane, Weischedel and Wardetzky, 2013), which does not depend on the
-directions of edges. From a place, anywhere on a face, the distances to that face's corners are
-straight lines, and paths continue from the corners.
+Two metrics: the paper's, Dijkstra's algorithm on the edges; and the same with the diagonals of
+every polygon. From a place, anywhere on a face, the distances to that face's corners are straight
+lines, and paths continue from the corners.
 """
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-import potpourri3d
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
@@ -19,9 +17,8 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray, frame_blocks
 from usdface.core.progress import Progress, silent
 from usdface.numerics.surface.surface_graph import MeshFaults, join_parts, surface_graph
 from usdface.numerics.surface.surface_places import SurfacePoints
-from usdface.numerics.surface.triangulation import triangle_areas, triangulate
 
-Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
+Metric = Literal["dijkstra", "dijkstra-diagonals"]
 
 _BLOCK_PLACES = 32
 """Places per call of Dijkstra's algorithm, whose result is in double precision."""
@@ -62,9 +59,7 @@ def geodesic_distances(
         The mesh at rest [mm].
     face_counts, face_indices : int arrays
         Polygons as USD stores them.
-    metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
-        The heat method factorises a matrix of the mesh, which takes half a minute and 2.4 GB for
-        half a million points, and then a third of a second per corner of a place.
+    metric : {'dijkstra', 'dijkstra-diagonals'}
     """
     if metric not in get_args(Metric):
         raise ValueError(f"no metric {metric!r}; there are {', '.join(get_args(Metric))}")
@@ -84,14 +79,7 @@ def geodesic_distances(
         np.linalg.norm(points[polygon] - place, axis=1)
         for polygon, place in zip(polygons, positions, strict=True)
     ]
-    if metric == "heat":
-        to_points = _heat_distances(
-            points, face_counts, face_indices, places, islands=islands, progress=progress
-        )
-        for row, polygon, length in zip(to_points, polygons, lengths, strict=True):
-            row[polygon] = length
-    else:
-        to_points = _shortest_paths(graph, polygons, lengths, progress)
+    to_points = _shortest_paths(graph, polygons, lengths, progress)
     between = _between(to_points, places.faces, positions, polygons, lengths)
     if (joined != np.arange(len(points))).any():
         to_points = to_points[:, joined]
@@ -129,62 +117,6 @@ def _shortest_paths(
         out[start : start + len(chosen)] = dijkstra(whole, indices=sources)[:, :count]
         progress(chosen.stop / len(polygons), "measuring distances along edges")
     return out
-
-
-def _heat_distances(
-    points: FloatArray,
-    face_counts: IntArray,
-    face_indices: IntArray,
-    at: SurfacePoints,
-    *,
-    islands: IntArray,
-    progress: Progress,
-) -> Float32Array:
-    """Return distances by the heat method of potpourri3d: (places, points).
-
-    The solver takes one connected mesh and a point as source. So each island is solved separately,
-    and the distance from a place is the weighted mean of those from its corners: exact to second
-    order except at these corners, where the caller uses straight lines.
-    """
-    triangles, _ = triangulate(face_counts, face_indices)
-    triangles = triangles[triangle_areas(points, triangles) > 0]
-    corners, weights = at.corners, at.weights
-    out = np.full((len(corners), len(points)), np.inf, np.float32)
-    island_of_place = islands[corners[:, 0]]
-    done, total = 0, int(np.count_nonzero(weights))
-    for island in np.unique(island_of_place).tolist():
-        places = np.flatnonzero(island_of_place == island)
-        faces = triangles[islands[triangles[:, 0]] == island]
-        inside = np.unique(faces)
-        if not len(faces) or not np.isin(corners[places], inside).all():
-            raise ValueError(
-                f"marker {places[0]} sits where the mesh has no area; use metric 'dijkstra'"
-            )
-        local = np.full(len(points), -1)
-        local[inside] = np.arange(len(inside))
-        solver = _factorise(points[inside], local[faces])
-        rows: FloatArray = np.zeros((len(places), len(inside)))
-        starts, which = np.unique(corners[places], return_inverse=True)
-        share = np.zeros((len(places), len(starts)))
-        np.add.at(share, (np.arange(len(places))[:, None], which.reshape(-1, 3)), weights[places])
-        for column in np.flatnonzero(share.any(axis=0)).tolist():
-            distance = np.asarray(solver.compute_distance(int(local[starts[column]])))
-            distance -= distance.min()
-            for row in np.flatnonzero(share[:, column]).tolist():
-                rows[row] += share[row, column] * distance
-            done += 1
-            progress(min(done / total, 1.0), "measuring distances by heat")
-        out[np.ix_(places, inside)] = rows
-    return out
-
-
-def _factorise(points: FloatArray, triangles: IntArray) -> potpourri3d.MeshHeatMethodDistanceSolver:
-    try:
-        return potpourri3d.MeshHeatMethodDistanceSolver(points, triangles, use_robust=True)
-    except (RuntimeError, ValueError) as error:
-        raise ValueError(
-            f"the heat method cannot solve this mesh ({error}); use metric 'dijkstra-diagonals'"
-        ) from error
 
 
 def _between(
