@@ -9,6 +9,7 @@ import pytest
 import yaml
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from tests.model.surface.mouth import make_mouth
 from tests.small_scan import (
     FIRST,
     FRAMES,
@@ -22,7 +23,9 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path
 from usdface.media.picture.image import read_image_metadata
+from usdface.model.surface.distance import surface_distances
 from usdface.numerics.registration.marker_binding import MarkerBinding
+from usdface.numerics.surface.surface_places import places_at_points
 from usdface.runner.execute import execute
 from usdface.runner.job import run_job
 from usdface.runner.result import StepResult
@@ -551,3 +554,13 @@ def test_what_make_shapes_cannot_do_is_said(
 ) -> None:
     with pytest.raises((InputError, ValueError), match=message):
         run(make_shapes(moved, out=moved / "bad.rig.usda", **({"least_mm": 0.6} | more)))
+
+
+def test_dense_markers_around_the_mouth_do_not_hold_sparse_cheeks_still() -> None:
+    mouth = make_mouth()
+    corners = 50 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
+    dense = [*mouth.upper[4:15:2], *mouth.lower[4:15:2]]
+    sparse = [int(np.abs(mouth.points[:, :2] - at).sum(axis=1).argmin()) for at in corners]
+    places = places_at_points(mouth.counts, mouth.indices, np.array(dense + sparse))
+    distances = surface_distances(mouth.points, mouth.counts, mouth.indices, places)
+    assert plan._fade(distances, None).min() > 0.5
