@@ -16,7 +16,11 @@ from usdface.demo.capture import demo_markers
 from usdface.demo.rig import demo_rig, make_head, mesh_points
 from usdface.demo.sculpt import CHARACTER
 from usdface.model.surface.gp_surface import GpSurface, _rows_of_axes
-from usdface.numerics.manifold.posterior_prediction import average_dual_weights, predict_variance
+from usdface.numerics.manifold.posterior_prediction import (
+    average_dual_weights,
+    frame_factors,
+    predict_variance,
+)
 from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 from usdface.usdio.rig.read import read_rig
 
@@ -122,4 +126,7 @@ def deviations_of_axes(fitted: GpSurface, moved: np.ndarray) -> np.ndarray:
     variance += moments.constant[:, None] * fitted.added
     variance = variance.reshape(-1, 3, fitted.point_count)
     deviations = np.sqrt(variance) * factors.of_axes[:, None] * factors.of_points
+    if fitted.shared is not None:
+        measured = np.ones(moved.shape[:2], bool)
+        deviations *= frame_factors(moved, fitted.precision, measured)[:, None, None]
     return np.asarray(deviations.transpose(0, 2, 1))

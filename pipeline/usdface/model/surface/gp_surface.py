@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -39,6 +39,7 @@ from usdface.numerics.manifold.posterior_prediction import (
     SpreadFactors,
     average_dual_weights,
     calibrate_spread,
+    frame_factors,
     join_moments,
     leave_markers_out,
     marker_precisions,
@@ -180,8 +181,10 @@ class GpSurface(SurfaceModel):
         # No marker tells how a separate part moves: its deviation is that of any point.
         variance[:, self.alone] = np.maximum(variance[:, self.alone], mixed.constant[:, None])
         variance += mixed.constant[:, None] * self.added
-        sd = np.sqrt(variance)
-        return SurfaceMotion(mean, sd * self.factors.of_points)
+        sd = np.sqrt(variance) * self.factors.of_points
+        if self.shared is not None:
+            sd *= frame_factors(moved, self.precision, measured).astype(np.float32)[:, None]
+        return SurfaceMotion(mean, sd)
 
 
 def fit_gp_surface(
@@ -212,6 +215,12 @@ def fit_gp_surface(
     thin = max(1, len(theta) // _CALIBRATION_SAMPLES)
     left_out = leave_markers_out(chosen.spectrum, rows, theta[::thin], with_nearest=True)
     typical = theta.mean(axis=(0, 2))
+    precision = marker_precisions(chosen.spectrum, typical[None])[0]
+    if options.sampler == "shared":
+        all_measured = np.ones(frames.shape[:2], np.bool_)
+        of_frames = frame_factors(frames, precision, all_measured)
+        expected = left_out.expected * np.repeat(of_frames, 3)[:, None]
+        left_out = replace(left_out, expected=expected)
     factors = calibrate_spread(left_out, covariance.matrix(), cross)
     return GpSurface(
         blend=chosen.blend,
@@ -219,7 +228,7 @@ def fit_gp_surface(
         diagnostics=SurfaceDiagnostics(chosen.left_out_rms_mm, covariance.clipped, **facts),
         marker_count=frames.shape[1],
         point_count=len(places),
-        precision=marker_precisions(chosen.spectrum, typical[None])[0],
+        precision=precision,
         options=options,
         table=table,
         basis=surface_basis(chosen.spectrum, cross, places),

@@ -138,8 +138,13 @@ class SharedSamples:
     """`effective_samples`, `rhat`: of all chains: medians over the hyper-parameters."""
 
 
+_PRIOR_COUNTS = (1, 225, 1, 1)
+"""Times that the priors of theta count in a take. The cameras' noise v1 is known to a fifteenth of
+the spread for one frame: free, a jaw that opens between few markers is taken for their noise."""
+
+
 class PooledEnergy:
-    """The energy of one theta under many rows of displacements, with the prior once.
+    """The energy of one theta under many rows of displacements, with the prior `_PRIOR_COUNTS`.
 
     Parameters
     ----------
@@ -153,13 +158,14 @@ class PooledEnergy:
         self._rows = len(displacements)
         self._energy = TabulatedEnergy(table, np.tile(displacements, (chains, 1)))
         self._centre = table.spectrum.prior.centre[:, None]
-        self._precision = np.array(table.spectrum.prior.spread)[:, None] ** -2.0
+        surplus = self._rows - np.array(_PRIOR_COUNTS)
+        self._surplus = (surplus / np.square(table.spectrum.prior.spread))[:, None]
 
     def __call__(self, theta: RealArray) -> tuple[RealArray, RealArray]:
         """Return the energies (chains,) and gradients (4, chains)."""
         value, gradient = self._energy(np.repeat(theta, self._rows, axis=1))
         offset = theta - self._centre
-        surplus = offset * self._precision * (self._rows - 1)  # repeated gradients of the prior
+        surplus = offset * self._surplus  # gradients of the prior that are too many
         total = gradient.reshape(4, -1, self._rows).sum(axis=2) - surplus
         energy = value.reshape(-1, self._rows).sum(axis=1) - 0.5 * (offset * surplus).sum(axis=0)
         return energy, total

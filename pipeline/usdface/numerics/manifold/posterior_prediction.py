@@ -16,6 +16,12 @@ it is smoother. Calibration is by errors at left-out markers over their expected
 lids and lips markers form rows, whose neighbours predict a left-out marker better than points off
 the row: its nearest neighbour is left out as well.
 
+With one set of hyper-parameters for all frames C, the variance is the same in all frames. A frame
+with larger motion t, of n measured coordinates, has larger errors. In a Student-t process (Shah,
+Wilson and Ghahramani, 2014) with nu = n degrees of freedom, deviations have the factor s::
+
+    s^2 = (nu + t' C^-1 t) / (nu + n)
+
 Markers tell how much they move themselves, in all frames alike, and hardly how much the skin far
 from them does. There, v0 is averaged with its prior median m, weighted by their numbers of markers
 (`HyperPrior.markers`), n and N. The variance grows by the share of v0 that no marker explains, with
@@ -28,7 +34,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, RealArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
 from usdface.numerics.manifold.hyper_posterior import SYMMETRIC_ENTRIES, HyperPrior, MarkerSpectrum
 
 _LARGEST_LOG = 30.0
@@ -274,6 +280,25 @@ def marker_precisions(spectrum: MarkerSpectrum, theta: FloatArray) -> FloatArray
     C = v0 * ((Q * spectrum.values) @ Q.T) + a0 + a1 * (trend[:, 1:] @ trend[:, 1:].T)
     noise = v1 + _JITTER_SHARE * np.trace(C + v1 * np.eye(len(Q)), axis1=1, axis2=2)[:, None, None]
     return np.asarray(np.linalg.inv(C + noise * np.eye(len(Q))))
+
+
+def frame_factors(
+    displacements: FloatArray, precision: FloatArray, measured: BoolArray
+) -> FloatArray:
+    """Return the factor s of the standard deviations of each frame: (frames,).
+
+    Parameters
+    ----------
+    displacements : (frames, N, 3) float array
+        [mm]
+    precision : (N, N) float array
+        C^-1 [mm^-2].
+    measured : (frames, N) bool array
+        False where other markers predict one.
+    """
+    power = np.einsum("fmc,mn,fnc->f", displacements, precision, displacements, optimize=True)
+    count = 3.0 * np.maximum(measured.sum(axis=1), 1)
+    return np.asarray(np.sqrt((1.0 + power / count) / 2.0))
 
 
 def calibrate_spread(
