@@ -93,7 +93,7 @@ def _damaged(face: Face, fault: str, rng: np.random.Generator) -> Face:
     if fault == "triangles":
         polygons = [each[[0, i, i + 1]] for each in polygons for i in range(1, len(each) - 1)]
     if fault == "holes":
-        away = KDTree(face.points[rng.integers(size, size=3)]).query(middle)[0]
+        away = np.asarray(KDTree(face.points[rng.integers(size, size=3)]).query(middle)[0])
         polygons = [each for each, far in zip(polygons, away > 10, strict=True) if far]
     if fault == "fins":  # edges with three faces, and faces without area
         chosen = rng.integers(len(polygons), size=40)

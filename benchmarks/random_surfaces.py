@@ -110,7 +110,9 @@ def choose_markers(setup: SimpleNamespace, face: Face, rng: np.random.Generator)
     for pool, count in ((used[around], int(setup.mouth * setup.markers)), (used, setup.markers)):
         while len(chosen) < count:
             spread = setup.even and len(chosen)
-            away = KDTree(face.points[chosen]).query(face.points[pool])[0] if spread else None
+            away = None
+            if spread:
+                away = np.asarray(KDTree(face.points[chosen]).query(face.points[pool])[0])
             chosen.append(int(rng.choice(pool) if away is None else pool[away.argmax()]))
     if setup.twice:
         chosen[-1] = chosen[-2]
@@ -196,7 +198,8 @@ def _operators(places: np.ndarray, mesh: RigMesh) -> list[np.ndarray]:
     points, one = mesh.points, np.eye(len(places))
     near = np.maximum(np.linalg.norm(points[:, None] - places, axis=2), 1e-3) ** -3.0
     lengths = surface_graph(points, mesh.face_counts, mesh.face_indices, diagonals=False)[0]
-    laplacian = sparse.csgraph.laplacian(lengths.power(-1.0).minimum(1e3))
+    lengths.data = np.minimum(1.0 / lengths.data, 1e3)
+    laplacian: Any = sparse.csgraph.laplacian(lengths)
     fixed = np.zeros((len(points), len(places)))
     fixed[KDTree(points).query(places)[1], np.arange(len(places))] = 1e6
     system = laplacian + sparse.diags_array(fixed.sum(axis=1) + 1e-9)
