@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from benchmarks._random_faces import FRAMES, Face, make_face
+from benchmarks._random_meshes import FRAMES, Face, make_face
 from benchmarks.random_captures import _command
 from tests.conftest import SHARED_DATA
 from usdface.core.arrays import equal_rows
