@@ -1,9 +1,15 @@
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 from sklearn.linear_model import Ridge, RidgeCV
 
 from usdface.numerics.regression import linear_ridge
-from usdface.numerics.regression.linear_ridge import LinearRidge, fit_linear_ridge
+from usdface.numerics.regression.linear_ridge import (
+    EVIDENCE_INTERVAL,
+    LinearRidge,
+    fit_linear_ridge,
+    fit_slope,
+)
 
 
 def lines(rows: int = 30, columns: int = 8, outputs: int = 4, noise: float = 0.1):
@@ -82,3 +88,40 @@ def test_bad_input_is_refused() -> None:
         fit_linear_ridge(np.ones((4, 3)), outputs[:4])
     with pytest.raises(ValueError, match="not finite"):
         fit_linear_ridge(features, outputs * np.inf)
+
+
+def test_slope_has_the_smallest_ridge_that_the_likelihood_allows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(40, 6)) * [1, 1, 1, 0.1, 0.01, 0.001]
+    outputs = features @ rng.normal(size=(6, 3)) + 0.05 * rng.normal(size=(40, 3))
+    ridges = 10.0 ** np.arange(-8.0, 2.0)
+    scale = np.linalg.svd(features)[1][0] ** 2
+
+    def cost(ridge: float) -> float:
+        covariance = features @ features.T + ridge * scale * np.eye(40)
+        deviation = np.sqrt((outputs * np.linalg.solve(covariance, outputs)).mean(axis=0))
+        laws = [multivariate_normal(np.zeros(40), s**2 * covariance) for s in deviation]
+        logs = [law.logpdf(y) for law, y in zip(laws, outputs.T, strict=True)]
+        return -2 * float(np.mean(logs))
+
+    costs = np.array([cost(ridge) for ridge in ridges])
+    expected = ridges[np.argmax(costs <= costs.min() + EVIDENCE_INTERVAL)]
+    assert ridges[0] < expected < ridges[-1]
+    monkeypatch.setattr(linear_ridge, "_RIDGES", ridges)
+    theirs = Ridge(alpha=expected * scale, fit_intercept=False).fit(features, outputs)
+    np.testing.assert_allclose(fit_slope(features, outputs), theirs.coef_.T, rtol=1e-6)
+
+
+def test_slope_of_rows_that_share_no_feature_meets_them_all() -> None:
+    features = np.vstack([np.zeros(5), np.eye(5)])
+    outputs = features @ np.random.default_rng(0).random((5, 3))
+    np.testing.assert_allclose(features @ fit_slope(features, outputs), outputs, atol=1e-7)
+
+
+def test_exact_lines_are_recovered_in_directions_that_hardly_move() -> None:
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(40, 4)) * [1, 1, 0.1, 0.01]
+    slope = rng.normal(size=(4, 3))
+    np.testing.assert_allclose(fit_slope(features, features @ slope), slope, atol=1e-3)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, relative_distances
+from usdface.core.arrays import BoolArray, FloatArray, relative_distances
 from usdface.core.controls import Controls, ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.numerics.motion.rotation_space import (
@@ -139,10 +139,15 @@ def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
     return tuple(sorted(conflicts, key=lambda each: each.source - each.target))
 
 
+def moving_shapes(pairs: ExpressionPairs) -> BoolArray:
+    """Return which source shapes differ between pairs; the target does not respond to others."""
+    return np.asarray(np.ptp(pairs.source, axis=0) > LEAST_WEIGHT)
+
+
 def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
-    """Return the source shapes that no pair uses, to which the target does not respond."""
-    moved = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
-    return tuple(name for name, used in zip(pairs.source_shapes, moved, strict=True) if not used)
+    """Return the source shapes that are the same in every pair."""
+    moved = zip(pairs.source_shapes, moving_shapes(pairs), strict=True)
+    return tuple(name for name, used in moved if not used)
 
 
 def constant_controls(pairs: ExpressionPairs) -> tuple[str, ...]:

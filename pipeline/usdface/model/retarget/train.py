@@ -17,10 +17,10 @@ from usdface.model.regressions.base import Pairs, Settings
 from usdface.model.regressions.hybrid import predict_blended
 from usdface.model.regressions.kernel_cca import PUBLISHED_LINES
 from usdface.model.retarget.control_space import (
-    LEAST_WEIGHT,
     ControlSpace,
     check_pairs,
     control_space,
+    moving_shapes,
 )
 
 PROBE_COUNT = 384
@@ -52,6 +52,8 @@ class Examples:
     source: FloatArray
     target: FloatArray
     """`source`, `target`: (pairs, ns) and (pairs, k): differences from rest."""
+    used: FloatArray
+    """(ns,): 1 for source shapes that differ between pairs, 0 for others, which have no effect."""
     source_rest: FloatArray
     target_rest: FloatArray
     """`source_rest`, `target_rest`: (ns,) and (k,)"""
@@ -110,7 +112,6 @@ def train_retargeting(
         fitted = _fit(each, settings, examples)
         tried.append((_score(fitted, examples, probes, surface), fitted))
         progress(number / len(candidates), f"tried {each}")
-    used = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
     tried = _best_first(tried)
     best = tried[0][1]
     return Retargeting(
@@ -126,7 +127,7 @@ def train_retargeting(
         | {
             "source_rest": examples.source_rest,
             "target_units": examples.units,
-            "unused": (~used).astype(np.float64),
+            "unused": 1 - examples.used,
         },
         settings=best.settings,
         scores=tuple(score for score, _ in tried),
@@ -154,7 +155,7 @@ def predict_coordinates(
         )
     arrays = {_EARLIER_NAMES.get(name, name): each for name, each in trained.arrays.items()}
     try:
-        inputs = source - arrays["source_rest"]
+        inputs = (source - arrays["source_rest"]) * (1 - arrays.get("unused", 0))
         moved = _predict(trained.method, arrays, trained.settings, inputs, alpha)
         if "target_units" in arrays:  # absent in earlier versions
             moved = moved * arrays["target_units"]
@@ -233,6 +234,7 @@ def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = N
         space=space,
         source=pairs.source - pairs.source[rest],
         target=coordinates - coordinates[rest],
+        used=moving_shapes(pairs).astype(np.float64),
         source_rest=pairs.source[rest],
         target_rest=coordinates[rest],
         source_ranges=np.stack([source_low, source_high], axis=1),
@@ -311,7 +313,7 @@ def _predict(
 def _forward(
     fitted: _Fit, examples: Examples, source: FloatArray, alpha: FloatArray | None = None
 ) -> FloatArray:
-    inputs = source - examples.source_rest
+    inputs = (source - examples.source_rest) * examples.used
     moved = _predict(fitted.method, fitted.forward, fitted.settings, inputs, alpha)
     target = moved * examples.units + examples.target_rest
     return np.asarray(np.clip(target, *examples.target_ranges.T))

@@ -10,6 +10,10 @@ _RIDGES = 10.0 ** np.arange(-8.0, 2.01, 0.25)
 """Ridges tried, as shares of the largest squared singular value of the centred features."""
 
 
+EVIDENCE_INTERVAL = 3.84
+"""Twice the log likelihood ratio of the limits of an interval of 95 %, by Wilks' theorem."""
+
+
 @dataclass(frozen=True)
 class LinearRidge:
     """``y = (x - mean) @ coefficients + intercept``."""
@@ -58,6 +62,34 @@ def fit_linear_ridge(features: FloatArray, outputs: FloatArray) -> LinearRidge:
         )
     gain = singular[:, None] / (singular[:, None] ** 2 + chosen * scale)
     return LinearRidge(mean, right.T @ (gain * rotated), intercept, chosen, residuals)
+
+
+def fit_slope(features: FloatArray, outputs: FloatArray) -> FloatArray:
+    """Return the (d, s) slope of a line through zero, with one ridge for all outputs.
+
+    Each output is ``y ~ N(0, t^2 (X X' + ridge I))``, with the t^2 of its largest likelihood. The
+    ridge is the smallest within `EVIDENCE_INTERVAL` of the largest mean log likelihood.
+    Leave-one-out errors would not limit the slope in directions in which the rows hardly differ.
+
+    References
+    ----------
+    MacKay (1992), *Bayesian interpolation*, Neural Computation 4(3), 415-447.
+    """
+    moved = features.any(axis=1)  # other rows fit any slope
+    features, outputs = features[moved], outputs[moved]
+    left, singular, right = np.linalg.svd(features, full_matrices=False)
+    rotated = left.T @ outputs
+    power = (rotated**2).T[outputs.any(axis=0)]
+    beyond = np.maximum((outputs**2).sum(axis=0)[outputs.any(axis=0)] - power.sum(axis=1), 0.0)
+    costs = []  # minus twice the log likelihood
+    ridges = _RIDGES * float(singular[0]) ** 2
+    for ridge in ridges:
+        variances = singular**2 + ridge
+        fit = np.log((power / variances).sum(axis=1) + beyond / ridge).mean() if len(power) else 0.0
+        unreached = (len(left) - len(singular)) * np.log(ridge)
+        costs.append(len(left) * fit + np.log(variances).sum() + unreached)
+    ridge = ridges[np.argmax(np.array(costs) <= min(costs) + EVIDENCE_INTERVAL)]
+    return np.asarray(right.T @ ((singular / (singular**2 + ridge))[:, None] * rotated))
 
 
 def _loo_residuals(
