@@ -127,6 +127,23 @@ def import_pairs(*flags: str, **changes: str) -> int:
     return usdface("pairs", "import", *words, *flags)
 
 
+def test_pairs_without_rest_get_one_so_that_a_face_at_rest_stays_there(
+    stall: Stall, capsys
+) -> None:
+    moving = poses()[1:]
+    write_human_performance(stall / "human_poses.usda", stall.human, moving, first=1)
+    write_creature_performance(stall / "beast_poses.usda", stall.beast, creature_acts(moving))
+    assert import_pairs() == 0
+    assert "added a pair of both at rest" in " ".join(capsys.readouterr().out.split())
+    assert len(read_pairs(stall / "x.pairs.usda")) == len(moving) + 1
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc") == 0
+    write_human_performance(stall / "still.usda", stall.human, 0 * human_moves(20))
+    line = "retarget still.usda --retargeting x.retarget.usdc --out still.beast.usda"
+    assert usdface(*line.split()) == 0
+    made = read_control_clip(stall / "still.beast.usda").clip.controls
+    np.testing.assert_allclose(made.weights, 0.0, atol=1e-5)
+
+
 def test_every_control_of_the_target_is_driven(performed: Stall, capsys) -> None:
     read = read_control_clip(performed / "beast.shot.usda")
     truth = creature_acts(performed.weights)

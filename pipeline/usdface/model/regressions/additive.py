@@ -1,9 +1,8 @@
 """Linear map through rest, plus a multiquadric for its residual.
 
 BlendShapes are additive, which radial basis functions alone do not reproduce between and beyond the
-pairs. The linear part is additive, the multiquadric represents the nonlinear remainder. The linear
-part has a ridge by its evidence: without one, inexact pairs that are similar would have slopes of
-any size.
+pairs. The linear part is additive, with a ridge by its evidence, as similar pairs that are inexact
+have slopes of any size. The multiquadric represents the nonlinear remainder.
 """
 
 from dataclasses import replace

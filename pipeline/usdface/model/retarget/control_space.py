@@ -146,8 +146,7 @@ def moving_shapes(pairs: ExpressionPairs) -> BoolArray:
 
 def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
     """Return the source shapes that are the same in every pair."""
-    moved = zip(pairs.source_shapes, moving_shapes(pairs), strict=True)
-    return tuple(name for name, used in moved if not used)
+    return tuple(np.array(pairs.source_shapes)[~moving_shapes(pairs)].tolist())
 
 
 def constant_controls(pairs: ExpressionPairs) -> tuple[str, ...]:

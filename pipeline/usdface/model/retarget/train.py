@@ -32,11 +32,11 @@ _MOST_FRAMES = 768
 _RANGE_MARGIN = 0.5
 """Range of a joint or attribute beyond that of the pairs, as a share of its span in them."""
 
-EQUAL_PAIR_ERROR = 1e-9
-"""Differences of errors at the pairs below this are rounding."""
-
-EQUAL_ROUND_TRIP_MM = 1e-3
+EQUAL_ROUND_TRIP_MM = 5e-3
 """Invisible difference of round-trip errors; below it, the error at the pairs decides."""
+
+PAIR_ERROR_DIGITS = 9
+"""Decimals of errors at the pairs; further ones are rounding, which depends on the machine."""
 
 _EARLIER_NAMES = {"width": "source_width", "offset": "intercept"}
 """Current names of kernel CCA's arrays, by their names in earlier versions."""
@@ -112,7 +112,8 @@ def train_retargeting(
         fitted = _fit(each, settings, examples)
         tried.append((_score(fitted, examples, probes, surface), fitted))
         progress(number / len(candidates), f"tried {each}")
-    tried = _best_first(tried)
+    equal = min(score.cyclic_mm for score, _ in tried) + EQUAL_ROUND_TRIP_MM
+    tried.sort(key=lambda item: (max(item[0].cyclic_mm, equal), item[0].pair_error))
     best = tried[0][1]
     return Retargeting(
         method=best.method,
@@ -338,24 +339,8 @@ def _score(
         method=fitted.method,
         settings=settings,
         cyclic_mm=_mean_distance(error, surface),
-        pair_error=float(np.sqrt((residual**2).mean())),
+        pair_error=round(float(np.sqrt((residual**2).mean())), PAIR_ERROR_DIGITS),
     )
-
-
-def _best_first(
-    tried: list[tuple[RetargetScore, _Fit]],
-) -> list[tuple[RetargetScore, _Fit]]:
-    """Sort by round-trip error, and by the error at the pairs among equal first ones.
-
-    Errors at the pairs that differ by rounding only, which depends on the machine, count as equal.
-    """
-    ordered = sorted(tried, key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
-    least = ordered[0][0].cyclic_mm
-    equal = [item for item in ordered if item[0].cyclic_mm <= least + EQUAL_ROUND_TRIP_MM]
-    limit = min(item[0].pair_error for item in equal) + EQUAL_PAIR_ERROR
-    first = [item for item in equal if item[0].pair_error <= limit]
-    others = [item for item in equal if item[0].pair_error > limit]
-    return first + sorted(others, key=lambda item: item[0].pair_error) + ordered[len(equal) :]
 
 
 def _mean_distance(error: FloatArray, surface: FloatArray | None) -> float:

@@ -67,29 +67,22 @@ def fit_linear_ridge(features: FloatArray, outputs: FloatArray) -> LinearRidge:
 def fit_slope(features: FloatArray, outputs: FloatArray) -> FloatArray:
     """Return the (d, s) slope of a line through zero, with one ridge for all outputs.
 
-    Each output is ``y ~ N(0, t^2 (X X' + ridge I))``, with the t^2 of its largest likelihood. The
-    ridge is the smallest within `EVIDENCE_INTERVAL` of the largest mean log likelihood.
-    Leave-one-out errors would not limit the slope in directions in which the rows hardly differ.
-
-    References
-    ----------
-    MacKay (1992), *Bayesian interpolation*, Neural Computation 4(3), 415-447.
+    Each output is ``y ~ N(0, t^2 (X X' + ridge I))``, with the t^2 of its largest likelihood
+    (MacKay 1992, Bayesian interpolation, Neural Computation 4(3)). The ridge is the smallest within
+    `EVIDENCE_INTERVAL` of the largest mean likelihood.
     """
     moved = features.any(axis=1)  # other rows fit any slope
-    features, outputs = features[moved], outputs[moved]
-    left, singular, right = np.linalg.svd(features, full_matrices=False)
-    rotated = left.T @ outputs
-    power = (rotated**2).T[outputs.any(axis=0)]
-    beyond = np.maximum((outputs**2).sum(axis=0)[outputs.any(axis=0)] - power.sum(axis=1), 0.0)
-    costs = []  # minus twice the log likelihood
-    ridges = _RIDGES * float(singular[0]) ** 2
-    for ridge in ridges:
-        variances = singular**2 + ridge
-        fit = np.log((power / variances).sum(axis=1) + beyond / ridge).mean() if len(power) else 0.0
-        unreached = (len(left) - len(singular)) * np.log(ridge)
-        costs.append(len(left) * fit + np.log(variances).sum() + unreached)
-    ridge = ridges[np.argmax(np.array(costs) <= min(costs) + EVIDENCE_INTERVAL)]
-    return np.asarray(right.T @ ((singular / (singular**2 + ridge))[:, None] * rotated))
+    left, singular, right = np.linalg.svd(features[moved], full_matrices=False)
+    rotated, sums = left.T @ outputs[moved], (outputs[moved] ** 2).sum(axis=0)
+    power = rotated[:, sums > 0] ** 2
+    beyond = np.maximum(sums[sums > 0] - power.sum(axis=0), 0.0)
+    ridges = _RIDGES[:, None] * float(singular[0]) ** 2
+    variances = singular**2 + ridges
+    fits = np.log(power.T @ (1 / variances).T + beyond[:, None] / ridges.T)
+    costs = len(left) * fits.sum(axis=0) / max(1, len(fits)) + np.log(variances).sum(axis=1)
+    costs += (len(left) - len(singular)) * np.log(ridges[:, 0])  # minus twice the log likelihood
+    best = int(np.argmax(costs <= costs.min() + EVIDENCE_INTERVAL))
+    return np.asarray(right.T @ ((singular / variances[best])[:, None] * rotated))
 
 
 def _loo_residuals(

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from usdface.core.assets import Rig
 from usdface.core.controls import ControlClip, Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError
@@ -9,12 +11,16 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import counted, first_few, pluralize
-from usdface.model.retarget.control_space import check_pairs, unused_shapes
+from usdface.model.retarget.control_space import LEAST_WEIGHT, check_pairs, unused_shapes
 from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
-from usdface.usdio.retarget.controls import find_control_attributes, read_control_clip
+from usdface.usdio.retarget.controls import (
+    find_control_attributes,
+    read_control_clip,
+    rest_controls,
+)
 from usdface.usdio.retarget.pairs import keyed_above, write_pairs
 from usdface.usdio.rig.read import read_rig
 
@@ -49,11 +55,14 @@ def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) ->
         target_prim=target_rig.prim,
     )
     check_pairs(pairs, f"{spec.source} and {spec.target}")
+    pairs = _with_rest(pairs, target_rig)
     write_pairs(
         spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
     )
     known = {*transfer.matched, *source_rig.logic.driven}
     notes = meaning_notes(transfer) + given.notes(spec.source, known, owner=owner)
+    if len(pairs) > len(frames):
+        notes.append("no frame has the source at rest: added a pair of both at rest")
     unused = unused_shapes(pairs)
     if unused:
         notes.append(f"in no pair and without effect: {counted(unused, 'source shape')}")
@@ -63,6 +72,21 @@ def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) ->
         f"and {target.summary}",
         tuple(notes),
         {"pairs": len(pairs), "unused": list(unused)},
+    )
+
+
+def _with_rest(pairs: ExpressionPairs, rig: Rig) -> ExpressionPairs:
+    """Add a pair of both characters at rest if no pair has the source there."""
+    target = pairs.target
+    rest = rest_controls(rig, attributes=target.attributes, joints=bool(target.joints))
+    rest = replace(rest, shapes=target.shapes, weights=np.zeros((1, len(target.shapes))))
+    if rest.joints != target.joints or (np.abs(pairs.source) < LEAST_WEIGHT).all(axis=1).any():
+        return pairs
+    return replace(
+        pairs,
+        names=(*pairs.names, "rest"),
+        source=np.vstack([pairs.source, np.zeros(pairs.source.shape[1])]),
+        target=target.mapped(lambda *parts: np.concatenate(parts), rest),
     )
 
 
