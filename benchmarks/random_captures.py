@@ -125,7 +125,7 @@ def measure(number: int) -> tuple[Setup, Found | str]:
             shift = setup.reapplied_mm * (take == "b")
             performer.capture(Path(f"{take}.c3d"), acted, shift, rng)
         error = 1 + setup.key_error * rng.standard_normal(weights[0].shape)
-        _write_keys(Path("keys.csv"), read_rig(file).shapes, np.clip(weights[0] * error, 0, 1))
+        write_keys(Path("keys.csv"), read_rig(file).shapes, np.clip(weights[0] * error, 0, 1))
         units = "--units m" if setup.metres else ""
         lines = [
             step
@@ -147,7 +147,7 @@ def measure(number: int) -> tuple[Setup, Found | str]:
             ),
         ]
         for line in lines:
-            code, said = _command(line)
+            code, said = run_command(line)
             if code:
                 return setup, said.strip().splitlines()[-1][:120]
             if "own.usda" in line or "other.usda" in line:
@@ -159,7 +159,7 @@ def measure(number: int) -> tuple[Setup, Found | str]:
     return setup, (own, other, base, within, verdict)
 
 
-def _command(line: str) -> tuple[int, str]:
+def run_command(line: str) -> tuple[int, str]:
     output = StringIO()
     with redirect_stdout(output), redirect_stderr(output):
         try:
@@ -364,7 +364,7 @@ def _labels(shapes: Shapes, chosen: list[int], setup: Setup) -> list[str]:
     return names
 
 
-def _write_keys(file: Path, names: tuple[str, ...], weights: np.ndarray) -> None:
+def write_keys(file: Path, names: tuple[str, ...], weights: np.ndarray) -> None:
     rows = [",".join(("frame", *names))]
     rows += [f"{row + 1}," + ",".join(f"{w:.5f}" for w in each) for row, each in enumerate(weights)]
     file.write_text("\n".join(rows), encoding="utf-8")

@@ -166,7 +166,7 @@ def _simulate(
     """
     recorded, names = performance("livelink_alex/alex_rom_3.csv", 30)
     other, _ = performance("livelink_jmtechart/MySlate_3_Jason_Millers_iPhone.csv", 60)
-    weights = recorded if setup.source == "a recording" else _bursts(names, rng, len(recorded))
+    weights = recorded if setup.source == "a recording" else bursts(names, rng, len(recorded))
     shapes = shapes_of_rig(SHARED_DATA / "rigs" / f"{setup.rig}.usdc", names)
     chosen = _place_markers(shapes, setup, rng)
     neutral, basis = _perform(shapes, chosen, setup, rng)
@@ -176,7 +176,7 @@ def _simulate(
         return clean_motion(neutral, basis, acted, setup.limit_mm, setup.noise_mm, rng)
 
     half = len(weights) // 2
-    truth = _tested(setup.tested, weights, other, names, rng)
+    truth = tested_weights(setup.tested, weights, other, names, rng)
     first = capture(weights[:half])
     motion = fit_motion_space([first.astype(np.float32)])
     rows = _choose(setup, first, motion, weights[:half], rng)
@@ -190,7 +190,7 @@ def _simulate(
         marker_names=tuple(f"m{i}" for i in range(len(chosen))),
         shape_names=names,
         markers=first[rows],
-        weights=_keyed(setup.keys, weights[rows], rng),
+        weights=keyed_weights(setup.keys, weights[rows], rng),
         frames=rows,
         rate=60.0,
         takes=("take",) * len(rows),
@@ -238,7 +238,7 @@ def _perform(
     return places + 2.0 * rng.standard_normal(places.shape), basis
 
 
-def _bursts(names: tuple[str, ...], rng: np.random.Generator, frames: int) -> np.ndarray:
+def bursts(names: tuple[str, ...], rng: np.random.Generator, frames: int) -> np.ndarray:
     """Return weights that move for a while, both sides together or one alone, and rest."""
     weights = np.zeros((frames, len(names)))
     pairs = [name.replace("left", "").replace("right", "") for name in names]
@@ -257,7 +257,7 @@ def _bursts(names: tuple[str, ...], rng: np.random.Generator, frames: int) -> np
     return weights
 
 
-def _tested(
+def tested_weights(
     name: str,
     weights: np.ndarray,
     other: np.ndarray,
@@ -270,7 +270,7 @@ def _tested(
     if name == "another":
         return other
     if name == "bursts":
-        return _bursts(names, rng, 2 * FRAMES)
+        return bursts(names, rng, 2 * FRAMES)
     changed = weights.copy()
     if name == "mixed":
         upper = [each.startswith(("brow", "eye")) for each in names]
@@ -297,7 +297,7 @@ def _choose(
     return np.sort(rng.permutation(largest)[: setup.pairs])
 
 
-def _keyed(name: str, weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def keyed_weights(name: str, weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return the keys of an animator who sees these weights."""
     error = rng.standard_normal(weights.shape)
     keys = {
