@@ -150,8 +150,8 @@ def measure(number: int) -> tuple[Setup, dict[str, float]]:
                 read, method=method, shape_ranges=target_ranges(read), surface=source_surface(read)
             )
             order = [trained.shapes.index(each) for each in rig.shapes]
-            values = retarget(trained, source).weights[:, order]
-            errors[method] = rms(values[1:] - truth[1:])
+            made = retarget(trained, source).weights[:, order]
+            errors[method] = rms(made[1:] - truth[1:])
             errors[f"{method}, round trip"] = trained.scores[0].cyclic_mm
     return setup, errors
 
