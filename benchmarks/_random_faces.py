@@ -149,9 +149,9 @@ def _decompose(
         for row in control:
             row[rng.permutation(count)[:3]] += rng.uniform(-0.3, 0.3, 3)
     for one, other in MATES.get(name, ()):
-        for row in [i for i, each in enumerate(names) if one in each]:
-            mate = names.index(names[row].replace(one, other))
-            control[[row, mate], row] = (0.5, 0.5) if name == "merged" else (1, -1)
+        for index in [i for i, each in enumerate(names) if one in each]:
+            mate = names.index(names[index].replace(one, other))
+            control[[index, mate], index] = (0.5, 0.5) if name == "merged" else (1, -1)
             gone[mate] = True
     control = control[:, ~gone]
     return control, np.einsum("cs,spd->cpd", np.linalg.pinv(control), channels)
