@@ -254,7 +254,8 @@ def find_take_offsets(forward: ForwardModel, take: IntArray) -> FloatArray:
 
         o = (Z'C^-1 Z + 1/s^2)^-1 Z'C^-1 r
 
-    s, of all markers, maximises the likelihood of r.
+    s, of all markers, maximises the likelihood of r. A take whose own offset does not raise it has
+    none.
 
     Parameters
     ----------
@@ -267,19 +268,28 @@ def find_take_offsets(forward: ForwardModel, take: IntArray) -> FloatArray:
     member = (take[:, None] == np.arange(1, count)).astype(np.float64)
     precision = member.T @ forward.inverse @ member
     score = np.einsum("nt,nkc->ktc", member, forward.dual)
-    found = [_offset_posterior(precision, score, deviation) for deviation in _OFFSET_DEVIATIONS_MM]
-    gain, mean = max(found, key=lambda each: each[0])
+    alone = [_most_probable_offsets(precision, score, [take])[0] for take in range(count - 1)]
+    moved = np.flatnonzero(np.array(alone) > 0).tolist()
     offsets = np.zeros((count, *forward.dual.shape[1:]))
-    offsets[1:] = mean.transpose(1, 0, 2) * (gain > 0)
+    if moved:
+        _, mean = _most_probable_offsets(precision, score, moved)
+        offsets[1:][moved] = mean.transpose(1, 0, 2)
     size = np.sqrt((offsets**2).sum(axis=2).mean(axis=1))
     return np.asarray(offsets * (size >= _MIN_KEYED_OFFSET_MM)[:, None, None])
 
 
-def _offset_posterior(
-    precision: FloatArray, score: FloatArray, deviation_mm: float
+def _most_probable_offsets(
+    precision: FloatArray, score: FloatArray, takes: list[int]
 ) -> tuple[float, FloatArray]:
-    """Return the gain of log likelihood by offsets, and their mean: (markers, takes, 3) [mm]."""
-    prior = np.eye(precision.shape[1]) / deviation_mm**2
-    mean = np.linalg.solve(precision + prior, score)
-    log_volume = np.linalg.slogdet((precision + prior) * deviation_mm**2)[1]
-    return 0.5 * float((score * mean).sum() - 3 * log_volume.sum()), mean
+    """Return the gain of log likelihood by offsets of some takes, and their mean.
+
+    The mean is (markers, takes, 3) [mm].
+    """
+    precision, score = precision[:, takes][:, :, takes], score[:, takes]
+    found = []
+    for deviation in _OFFSET_DEVIATIONS_MM:
+        posterior = precision + np.eye(len(takes)) / deviation**2
+        mean: FloatArray = np.linalg.solve(posterior, score)
+        log_volume = np.linalg.slogdet(posterior * deviation**2)[1]
+        found.append((0.5 * float((score * mean).sum() - 3 * log_volume.sum()), mean))
+    return max(found, key=lambda each: each[0])

@@ -143,8 +143,9 @@ class ExpressionMotion:
         scale = max(float(found.chi2.mean()) / _USUAL_CHI2, 1.0)
         mean, covariance, posterior = _maximise(found.information / scale, found.score / scale)
         possible, unknown = self._size_mm(covariance), self._size_mm(posterior)
-        found = len(positions) >= _FEWEST_FRAMES and possible >= _LEAST_MM
-        possible, size = possible * found, possible * (found and possible >= _LEAST_RATIO * unknown)
+        if len(positions) < _FEWEST_FRAMES or possible < _LEAST_MM:
+            possible = 0.0
+        size = possible if possible >= _LEAST_RATIO * unknown else 0.0
         return PoseErrors(self, offset, scale, mean, covariance, possible, size)
 
     def _size_mm(self, covariance: FloatArray) -> float:

@@ -21,8 +21,8 @@ from usdface.usdio.take.read import TakeReader, read_take
 def take_head_space(take: TakeReader, face: PerformerFace) -> HeadSpace:
     """Find the transform from a take's markers to those of a face, from frames all over it."""
     picks = np.array(spread_frames(take, SAMPLE_FRAMES))
-    pairs = face.pairs.get(take.name, [[]])[0]
-    extra = np.append(pairs, take.neutral_frame).astype(np.int64)
+    pairs = face.pairs[take.name][0] if take.name in face.pairs else picks[:0]
+    extra = np.append(pairs, take.neutral_frame)
     inside = (take.first_frame <= extra) & (extra <= take.last_frame)
     picks = np.union1d(picks, extra[inside])
     sample = read_markers_at(take, picks.tolist())
