@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.performers import performance
 from benchmarks.random_captures import _columns
-from benchmarks.random_setups import _bursts
+from benchmarks.random_setups import bursts
 from tests.conftest import SHARED_DATA
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
@@ -58,7 +58,7 @@ def make_face(setup: SimpleNamespace, rng: np.random.Generator) -> Face:
     start, step = int(rng.integers(500, len(values) - 2600)), 2400 // FRAMES
     rows = values[start : start + step * FRAMES : step].copy()
     if setup.acted == "bursts":
-        rows = _bursts(channels, rng, step * FRAMES)[::step]
+        rows = bursts(channels, rng, step * FRAMES)[::step]
     if setup.acted == "jaw":
         rows[:, channels.index("jawopen")] = rng.random(FRAMES)
     if setup.acted == "winks":

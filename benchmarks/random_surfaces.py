@@ -22,7 +22,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from benchmarks._random_meshes import FRAMES, Face, make_face
-from benchmarks.random_captures import _command
+from benchmarks.random_captures import run_command
 from tests.conftest import SHARED_DATA
 from usdface.core.arrays import equal_rows
 from usdface.core.assets import Markers, RigMesh, Take
@@ -170,7 +170,7 @@ def measure(number: int) -> tuple[SimpleNamespace, np.ndarray]:
             f"bind take.usda face.usda --out b.usda --landmarks {landmarks}",
             "deform take.usda --mesh face.usda --binding b.usda --out out.usda",
         ):
-            code, said = _command(line)
+            code, said = run_command(line)
             if code:
                 raise RuntimeError(f"{setup}: {said}")
         mesh = read_face_mesh(Path("face.usda"))

@@ -289,7 +289,7 @@ def _most_probable_offsets(
     found = []
     for deviation in _OFFSET_DEVIATIONS_MM:
         posterior = precision + np.eye(len(takes)) / deviation**2
-        mean: FloatArray = np.linalg.solve(posterior, score)
+        mean: FloatArray = np.asarray(np.linalg.solve(posterior, score), np.float64)
         log_volume = np.linalg.slogdet(posterior * deviation**2)[1]
         found.append((0.5 * float((score * mean).sum() - 3 * log_volume.sum()), mean))
     return max(found, key=lambda each: each[0])
