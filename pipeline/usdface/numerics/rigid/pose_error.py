@@ -258,6 +258,8 @@ def expression_motion(
     rigid : int array
         Rigid markers.
     """
+    from scipy.linalg import eigh  # slow to import
+
     count, flat = len(basis), basis.reshape(len(basis), -1)
     moment = weights.T @ weights / max(len(weights), 1) + _UNIFORM_VARIANCE * np.eye(count)
     rows = np.linalg.cholesky(moment).T @ flat
@@ -265,8 +267,10 @@ def expression_motion(
     # Each shape times a random 3 x 3 matrix: other directions and proportions.
     sized = _SHAPE_DEPARTURE * np.sqrt(np.diag(moment))[:, None, None] * basis
     turned = np.kron(np.tensordot(sized, sized, ((0, 2), (0, 2))), np.eye(3))
-    variances, directions = np.linalg.eigh(rows.T @ rows + turned)
-    kept = slice(-1, -1 - _COMPONENT_COUNT, -1)
-    size = np.sqrt(np.maximum(variances[kept], 0.0))
-    components = (size * directions[:, kept]).T.reshape(-1, *basis.shape[1:])
+    size = flat.shape[1]
+    variances, directions = eigh(
+        rows.T @ rows + turned, subset_by_index=[max(size - _COMPONENT_COUNT, 0), size - 1]
+    )
+    deviations = np.sqrt(np.maximum(variances, 0.0))
+    components = (deviations * directions).T.reshape(-1, *basis.shape[1:])
     return ExpressionMotion(neutral, components, motion2, np.isin(np.arange(len(neutral)), rigid))
