@@ -74,6 +74,8 @@ def test_offsets_are_those_of_generalised_least_squares(monkeypatch: pytest.Monk
 def test_two_days_do_not_ruin_each_other() -> None:
     once, again = trained(references(0.0)), trained(references(OFFSET))
     ignored = trained(references(OFFSET, neutral_take=""))
+    size = np.sqrt((OFFSET**2).sum(axis=1).mean())
+    np.testing.assert_allclose(again.arrays["take_offset_mm"], [0.0, size], rtol=0.1)
     for take, face, offset in (("day one", MADE, 0.0), ("day two", OTHER, OFFSET)):
         expected, found, wrong = (
             np.sqrt(((solve(mapping, face.positions + by, take) - face.weights) ** 2).mean())

@@ -1,5 +1,6 @@
 """A performer's head space, neutral face and sample of expressions, to which takes are aligned."""
 
+import json
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -51,7 +52,7 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
     frames = mapping.arrays["motion_mean"] + (
         mapping.arrays["takes_sample"] @ mapping.arrays["motion_components"]
     )
-    takes = str(mapping.settings.get("pair_takes", "")).split("; ")
+    takes = json.loads(str(mapping.settings.get("pair_takes", "[]")))
     pairs = mapping.arrays.get("pair_frames", np.zeros((0, 2))).astype(np.int64)
     return PerformerFace(
         mapping.marker_names,

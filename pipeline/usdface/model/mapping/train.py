@@ -1,5 +1,6 @@
 """Training of a mapping: choice of method and settings by cross-validation, fit to all pairs."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -131,6 +132,7 @@ def train_mapping(
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=face.motion)
     progress(0.0, "fitting the forward model")
     aligned = _remove_take_offsets(checked, face)
+    pair_arrays = _pair_arrays(checked, aligned)
     checked, face, pose_arrays, pose_error_mm = _remove_pose_errors(aligned, face)
     folds = PairFolds(_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
@@ -155,12 +157,12 @@ def train_mapping(
             | error_arrays
             | sides.to_arrays()
             | pose_arrays
-            | _pair_arrays(aligned)
+            | pair_arrays
         ),
         settings=fitted.settings
         | _region_settings(checked, folds, regions)
         | _key_settings(folds, checked)
-        | {"pair_takes": "; ".join(sorted(set(checked.takes)))}
+        | {"pair_takes": json.dumps(sorted(set(checked.takes)))}
         | {"limited_weights": check.limited_weights, "pose_error_mm": pose_error_mm}
         | {"unobservable_shapes": int((~compared.observable).sum())},
         scores=compared.scores,
@@ -191,11 +193,18 @@ def _face(
     )
 
 
-def _pair_arrays(references: References) -> Arrays:
-    """Return the pairs' frames and markers, by which their takes are aligned when mapped."""
+def _pair_arrays(references: References, aligned: References) -> Arrays:
+    """Return the pairs' frames and markers, by which their takes are aligned when mapped.
+
+    `aligned`: the references without the takes' offsets, whose root mean square is returned too.
+    """
     take = np.unique(references.takes, return_inverse=True)[1]
-    rows = np.stack([take, references.frames], axis=1)
-    return {"pair_frames": rows, "pair_markers": references.markers}
+    moved = ((references.markers - aligned.markers) ** 2).sum(axis=2).mean(axis=1)
+    return {
+        "pair_frames": np.stack([take, references.frames], axis=1),
+        "pair_markers": aligned.markers,
+        "take_offset_mm": np.sqrt(np.bincount(take, moved) / np.bincount(take)),
+    }
 
 
 def _remove_take_offsets(references: References, face: Face) -> References:

@@ -1,5 +1,6 @@
 """Train a mapping on references."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -260,6 +261,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"{'is' if len(unseen) == 1 else 'are'} inferred from the rest of the face, and not "
             "included in the uncertainty; key them with `usdface edit`"
         )
+    notes += _offset_notes(references, mapping)
     pose_error_mm = float(mapping.settings.get("pose_error_mm", 0.0))
     if pose_error_mm:
         notes.append(pose_error_note("the references", pose_error_mm))
@@ -283,6 +285,18 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"left out {pluralize(repeated, 'pair')} with the markers and weights of another"
         )
     return notes
+
+
+def _offset_notes(references: References, mapping: TrainedMapping) -> list[str]:
+    takes = json.loads(str(mapping.settings["pair_takes"]))
+    sizes = zip(takes, mapping.arrays["take_offset_mm"].tolist(), strict=True)
+    moved = [f"{take} ({size:.1f} mm)" for take, size in sizes if size]
+    if not moved:
+        return []
+    return [
+        f"the keys tell that markers were applied again before {first_few(moved)}, relative to "
+        f"{references.neutral_take}: the offset is removed from the pairs"
+    ]
 
 
 def _gain_notes(mapping: TrainedMapping) -> list[str]:
