@@ -59,7 +59,7 @@ READERS: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = 
     "job as json": ("x.json", lambda: json.dumps(job()).encode(), read_job),
     "path rules": ("x.json", lambda: json.dumps(RULES, indent=1).encode(), read_path_rules),
     "TextGrid": ("x.TextGrid", lambda: track(".TextGrid"), read_phone_track),
-    "HTK": ("x.lab", lambda: track(".lab"), read_phone_track),
+    "HTK": ("x.lab", lambda: b"0 2500000 sil\n2500000 4000000 hh hi\n", read_phone_track),
     "phones as json": ("x.json", lambda: track(".json"), read_phone_track),
     "dictionary": ("x.dict", lambda: b";;; a\nkvothe  K V OW1 TH\nbast(2) B AE S T\n",
                    read_dictionary),
