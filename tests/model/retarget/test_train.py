@@ -22,6 +22,7 @@ from usdface.model.retarget.train import (
     retarget,
     round_trip,
     train_retargeting,
+    unspanned_shares,
 )
 
 SHAPES = ("jawOpen", "eyeBlink", "smile")
@@ -295,3 +296,12 @@ def test_controls_come_back_from_their_coordinates_whatever_their_size() -> None
     np.testing.assert_allclose(back.translations, given.translations, atol=1e-12)
     np.testing.assert_allclose(back.weights, given.weights)
     np.testing.assert_allclose(back.values, given.values)
+
+
+def test_one_side_is_no_sum_of_pairs_with_both() -> None:
+    both = np.random.default_rng(0).random((12, 2))[:, [0, 1, 1]]
+    both[0] = 0
+    trained = train_retargeting(pairs_of(both, shape_controls(("t",), both[:, :1])), method="rbf")
+    one_side = np.random.default_rng(1).random((50, 1)) * [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(unspanned_shares(trained, one_side), [0, 0.25, 0.25], atol=1e-9)
+    np.testing.assert_allclose(unspanned_shares(trained, 3 * both), 0, atol=1e-9)

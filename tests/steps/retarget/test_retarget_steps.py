@@ -592,6 +592,19 @@ def test_one_pair_and_pairs_all_alike_are_refused(stall: Stall, capsys) -> None:
     assert "all 9 pairs have the same source expression" in capsys.readouterr().err
 
 
+def test_motion_that_is_no_sum_of_the_pairs_is_noted(stall: Stall, capsys) -> None:
+    together, alone = poses()[:, [0, 1, 0]], poses() * [0, 0, 1]
+    write_human_performance(stall / "together.usda", stall.human, together, first=1)
+    write_creature_performance(stall / "together_t.usda", stall.beast, creature_acts(together))
+    write_human_performance(stall / "alone.usda", stall.human, alone, first=1)
+    assert import_pairs(source="together.usda", target="together_t.usda") == 0
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc") == 0
+    for name, noted in (("alone", True), ("together", False)):
+        line = f"retarget {name}.usda --retargeting x.retarget.usdc --out {name}.made.usda"
+        assert usdface(*line.split()) == 0
+        assert ("50% of the motion (mean square) is no sum of" in capsys.readouterr().out) == noted
+
+
 def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     stall: Stall, capsys
 ) -> None:

@@ -35,6 +35,9 @@ _RANGE_MARGIN = 0.5
 EQUAL_ROUND_TRIP_MM = 5e-3
 """Invisible difference of round-trip errors; below it, the error at the pairs decides."""
 
+_LEAST_SINGULAR = 0.01
+"""Smallest singular value of pairs that spans a direction, relative to the largest."""
+
 PAIR_ERROR_DIGITS = 9
 """Decimals of errors at the pairs; further ones are rounding, which depends on the machine."""
 
@@ -129,6 +132,7 @@ def train_retargeting(
             "source_rest": examples.source_rest,
             "target_units": examples.units,
             "unused": 1 - examples.used,
+            "pair_span": _span(examples.source),
         },
         settings=best.settings,
         scores=tuple(score for score, _ in tried),
@@ -173,6 +177,23 @@ def retarget(
 ) -> Controls:
     """Return the target's controls for source weights; see `predict_coordinates`."""
     return limited_controls(trained, predict_coordinates(trained, source, alpha=alpha))
+
+
+def unspanned_shares(trained: Retargeting, source: FloatArray) -> FloatArray:
+    """Return the share of the source's motion that is no sum of the pairs' expressions.
+
+    Of the summed squares of all weights, by shape: (source shapes,). Shapes that are the same in
+    all pairs do not count. 0 for retargetings of earlier versions.
+
+    Parameters
+    ----------
+    source : (frames, source shapes) float array
+    """
+    arrays = trained.arrays
+    span = arrays.get("pair_span", np.eye(len(trained.source_shapes)))
+    inputs = (source - arrays["source_rest"]) * (1 - arrays.get("unused", 0))
+    beyond = inputs - inputs @ span.T @ span
+    return np.asarray((beyond**2).sum(axis=0) / max(float((inputs**2).sum()), 1e-12))
 
 
 def limited_controls(trained: Retargeting, coordinates: FloatArray) -> Controls:
@@ -326,6 +347,12 @@ def _cycle(
     target = (_forward(fitted, examples, source, alpha) - examples.target_rest) / examples.spans
     back = _predict(fitted.method, fitted.backward, fitted.settings, target, alpha)
     return np.asarray(np.clip(back + examples.source_rest, *examples.source_ranges.T))
+
+
+def _span(source: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the pairs' expressions: (dimensions, source shapes)."""
+    _, singular, directions = np.linalg.svd(source, full_matrices=False)
+    return directions[singular > _LEAST_SINGULAR * singular[0]]
 
 
 def _score(

@@ -16,7 +16,11 @@ from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.model.placement.rig_orientation import describe_orientation
 from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
-from usdface.model.retarget.train import limited_controls, predict_coordinates
+from usdface.model.retarget.train import (
+    limited_controls,
+    predict_coordinates,
+    unspanned_shares,
+)
 from usdface.model.review.verdict import worst_verdict
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -45,6 +49,9 @@ _CHUNK_FRAMES = 8192
 
 _CUT_SHARE = 0.1
 """[of a shape's range] Least excess over it that is reported."""
+
+_UNSPANNED_SHARE = 0.25
+"""Share of the motion, mean square, from which the error is half of the motion or more."""
 
 
 @dataclass(frozen=True)
@@ -185,6 +192,7 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
             f"{len(dead)} source shapes move but are in no pair, so the target does not follow: "
             f"{first_few(dead)}",
         )
+    notes = (*notes, *_unspanned(trained, motion.weights @ transfer.matrix))
     unmatched = unmatched_moving(transfer, motion)
     return _Target(rig, trained, transfer, notes, unmatched, unpaired=dead)
 
@@ -279,6 +287,20 @@ def _dead(
             "retargeting uses, so nothing would move; key pairs for them and train again"
         )
     return names
+
+
+def _unspanned(trained: Retargeting, source: FloatArray) -> list[str]:
+    """Return a note on motion that is no sum of the pairs' expressions."""
+    shares = unspanned_shares(trained, source)
+    total = float(shares.sum())
+    if total < _UNSPANNED_SHARE:
+        return []
+    largest = [trained.source_shapes[i] for i in np.argsort(-shares)[: np.count_nonzero(shares)]]
+    return [
+        f"{total:.0%} of the motion (mean square) is no sum of the pairs' expressions, most of it "
+        f"of {first_few(largest, most=3)}: the target may be wrong by as much; key pairs in which "
+        "they move alone, and train again"
+    ]
 
 
 def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
