@@ -352,7 +352,7 @@ def _cycle(
 def _span(source: FloatArray) -> FloatArray:
     """Return an orthonormal basis of the pairs' expressions: (dimensions, source shapes)."""
     _, singular, directions = np.linalg.svd(source, full_matrices=False)
-    return directions[singular > _LEAST_SINGULAR * singular[0]]
+    return np.asarray(directions[singular > _LEAST_SINGULAR * singular[0]])
 
 
 def _score(
