@@ -198,7 +198,8 @@ def find_head_space(
             rotation, shift = turn @ rotation, turn @ shift + step
             neutral = compare(align())
     if by_pairs is not None:
-        neutral = replace(neutral, offset=np.zeros_like(neutral.offset), offset_mm=0.0)
+        size_mm = float(np.sqrt((by_pairs[2] ** 2).sum(axis=1).mean()))
+        neutral = replace(neutral, offset=np.zeros_like(neutral.offset), offset_mm=size_mm)
     missing = tuple(name for name in face.marker_names if name not in markers.names)
     extra = tuple(name for name in markers.names if name not in face.marker_names)
     known = _known_share(face, neutral)

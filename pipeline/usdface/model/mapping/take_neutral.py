@@ -69,7 +69,8 @@ class TakeNeutral:
     offset: FloatArray
     """(markers, 3): the take's neutral face minus the performer's; it is subtracted [mm]."""
     offset_mm: float = 0.0
-    """Root mean square of the offset over the markers that the take shows [mm]."""
+    """Root mean square of the offset over the markers that the take shows; if its pairs told an
+    offset, which is subtracted before, of that one [mm]."""
     frame: int = 0
     stated_frame: int = 0
     """`frame`, `stated_frame`: The frame nearest to the performer's neutral face, and the one that

@@ -43,8 +43,8 @@ the two sides of a symmetric face."""
 
 
 _POSE_ROUNDS = 3
-"""Alternations of placing the markers and removing errors of the takes' poses, as of a head band
-that slips: after the second, markers move by less than their distance."""
+"""Largest number of alternations of placing the markers and removing errors of the takes' poses, as
+of a head band that slips. Residuals of markers that were misplaced still fall in the third."""
 
 _FALLING_SHARE = 0.9
 """Share of the residuals' variance to which a new placement without the errors lowers it: where it
