@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks._placement_subjects import Head
 from usdface.core.arrays import FloatArray
-from usdface.core.assets import Rig
-from usdface.core.deformer import Deformer
-from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers, set_up_equation
+from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.measure.face_regions import points_by_region, region_gram
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.numerics.solve.peak_matching import match_peaks
@@ -25,14 +24,17 @@ Moving = tuple[str, ...]
 
 
 def print_crosstalk(
-    takes: dict[str, tuple[FloatArray, tuple[str, ...], Moving]], rigs: dict[str, Rig]
+    equations: dict[tuple[str, str], BlendshapeEquation],
+    positions: dict[str, FloatArray],
+    moving: dict[str, Moving],
+    heads: dict[str, Head],
 ) -> None:
-    """Print a table of the takes on the rigs.
+    """Print a table of the equations, which are by rig and take.
 
     Parameters
     ----------
-    takes : dict of str to (positions, labels, moving)
-        Stabilised positions [mm]; the first frame is neutral.
+    positions : dict of str to (frames, markers, 3) array
+        Stabilised positions of each take [mm].
     """
     print("\n### Proposed weights: motion outside the moving parts, one-eyed closing, prediction\n")
     print(
@@ -40,31 +42,19 @@ def print_crosstalk(
         "error at a fifth of the markers, left out, over that of no motion (five folds).\n"
     )
     print("| take, rig | solve | outside | one-eyed | left out |\n|---|---|---|---|---|")
-    for rig_name, rig in rigs.items():
-        deformer = Deformer(rig)
-        for take_name, (positions, labels, moving) in takes.items():
-            equation = set_up_equation(
-                rig,
-                deformer,
-                PerformerMarkers(
-                    neutral=positions[0],
-                    positions=positions,
-                    visible=np.ones(positions.shape[:2], bool),
-                    rigid=(),
-                    labels=labels,
-                ),
+    for (rig, take), equation in equations.items():
+        shapes = heads[rig].rig.shapes
+        blinks = [i for i, name in enumerate(shapes) if name.lower().startswith("eyeb")]
+        plain = _plain(equation, positions[take])
+        for label, each in (("plain", plain), ("proposal", equation)):
+            weights = each.propose(positions[take])
+            outside = _outside(weights, heads[rig], moving[take])
+            one_eyed = np.quantile(np.abs(np.ptp(weights[:, blinks], axis=1)), 0.95)
+            left_out = _left_out(each, positions[take][::STEP])
+            print(
+                f"| {take}, {rig} | {label} | {outside:.0%} | {one_eyed:.2f} | {left_out:.3f} |",
+                flush=True,
             )
-            for label, each in (("plain", _plain(equation, positions)), ("proposal", equation)):
-                weights = each.propose(positions)
-                outside = _outside(weights, rig, deformer, moving)
-                blinks = [i for i, name in enumerate(rig.shapes) if name.lower().startswith("eyeb")]
-                one_eyed = np.quantile(np.abs(np.ptp(weights[:, blinks], axis=1)), 0.95)
-                left_out = _left_out(each, positions[::STEP])
-                print(
-                    f"| {take_name}, {rig_name} | {label} | {outside:.0%} | {one_eyed:.2f} | "
-                    f"{left_out:.3f} |",
-                    flush=True,
-                )
 
 
 def _plain(equation: BlendshapeEquation, positions: FloatArray) -> BlendshapeEquation:
@@ -77,9 +67,10 @@ def _plain(equation: BlendshapeEquation, positions: FloatArray) -> BlendshapeEqu
     return replace(equation, noise_mm=0.0, lids=None, gain=gain)
 
 
-def _outside(weights: FloatArray, rig: Rig, deformer: Deformer, moving: Moving) -> float:
+def _outside(weights: FloatArray, head: Head, moving: Moving) -> float:
+    deformer = head.deformer
     offsets = deformer.shapes.key_offsets
-    regions = points_by_region(deformer.shapes.target_offsets(), rig.shapes)
+    regions = points_by_region(deformer.shapes.target_offsets(), head.rig.shapes)
     keys = deformer.shapes.key_weights(weights)
 
     def moved(points: np.ndarray) -> float:

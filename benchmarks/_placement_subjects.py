@@ -1,4 +1,4 @@
-"""Simulated performers with known marker positions and weights, for `real_captures`."""
+"""Simulated performers with known marker positions and weights, and their equations."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -8,8 +8,11 @@ import numpy as np
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import Rig
+from usdface.core.deformer import Deformer
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.model.retarget.shape_names import motion_and_side
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers, set_up_equation
 from usdface.numerics.registration.face_skin import FaceSkin
 
 MARKER_COUNT = 72
@@ -29,6 +32,40 @@ _PART_MM = 22.0
 """Distance from a landmark up to which a marker is named after its part of the face."""
 
 _PARTS = {"eye": "lid", "lip": "mouth"}
+
+
+@dataclass(frozen=True)
+class Head:
+    """A rig with its deformer and skin."""
+
+    rig: Rig
+    deformer: Deformer
+    skin: FaceSkin
+
+
+def head_of(rig: Rig) -> Head:
+    deformer = Deformer(rig)
+    return Head(rig, deformer, deformer.face_skin())
+
+
+def find_equation(
+    head: Head,
+    positions: FloatArray,
+    neutral: FloatArray,
+    rigid: tuple[int, ...],
+    labels: tuple[str, ...],
+) -> BlendshapeEquation:
+    return set_up_equation(
+        head.rig,
+        head.deformer,
+        PerformerMarkers(
+            neutral=neutral,
+            positions=positions,
+            visible=np.ones(positions.shape[:2], np.bool_),
+            rigid=rigid,
+            labels=labels,
+        ),
+    )
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,13 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks._placement_subjects import SimulatedTake, simulate_take
-from benchmarks.real_captures import Head, find_equation, head_of
+from benchmarks._placement_subjects import (
+    Head,
+    SimulatedTake,
+    find_equation,
+    head_of,
+    simulate_take,
+)
 from tests.conftest import SHARED_DATA
 from tests.model.synthetic import sample_skin
 from usdface.core.assets import References, TrainedMapping
