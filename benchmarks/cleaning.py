@@ -12,8 +12,10 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from scipy.spatial.transform import Rotation
 
+from benchmarks._long_take import write_captures
+from benchmarks._process import measure_usdface
 from benchmarks._takes import markers_of
-from benchmarks.scale import HOUR, NOISE_MM, _cost
+from benchmarks.scale import HOUR
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import Markers
@@ -129,41 +131,13 @@ def _hour() -> None:
     print("|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _capture(folder / f"{HOUR}.c3d", HOUR)
+        write_captures(folder, (HOUR,))
         for step, words in (
-            ("ingest", "ingest {n}.c3d --out {n}.take.usda --neutral 31"),
-            ("clean", "clean {n}.take.usda --out {n}.clean.take.usda"),
+            ("ingest", f"ingest {HOUR}.c3d --out hour.take.usda --neutral 31"),
+            ("clean", "clean hour.take.usda --out hour.clean.take.usda"),
         ):
-            cost = _cost(folder, words, "{n}." + step, HOUR)
+            cost = measure_usdface(folder, words)
             print(f"| `{step}` | {cost.seconds:.0f} | {cost.peak_mb:,.0f} |")
-
-
-def _capture(path: Path, frames: int) -> None:
-    """Write the demo's actor, forwards and backwards in a loop, with noise in every frame."""
-    from tests.c3d_write import write_c3d
-    from usdface.demo.acting import performance
-    from usdface.demo.capture import demo_markers, simulate_capture
-    from usdface.demo.rig import make_head
-    from usdface.demo.sculpt import ACTOR
-
-    actor, acted = make_head(ACTOR), performance()
-    markers = demo_markers(actor)
-    captured = simulate_capture(actor, acted, markers)
-    count = len(captured.positions)
-    again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
-    rng = np.random.default_rng(0)
-    positions = captured.positions[again]
-    for frame in range(0, frames, count):
-        part = positions[frame : frame + count]
-        part += np.float32(NOISE_MM) * rng.standard_normal(part.shape, dtype=np.float32)
-    write_c3d(
-        path,
-        positions,
-        captured.visible[again],
-        markers.names,
-        rate=acted.weights.rate,
-        first_frame=1,
-    )
 
 
 def _is_relabelled(cleaned: CleanedMarkers, swap: np.ndarray) -> bool:

@@ -6,17 +6,26 @@ submit` maps an hour in one task; it is also split into four, as value clips and
 a task that only sleeps shows openjd's own cost, which is part of every row below.
 """
 
-import resource
+import os
 import shutil
-import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import yaml
+
+from benchmarks._long_take import to_and_fro
+from benchmarks._process import measure
+from benchmarks._takes import markers_of
+from tests.edited_weights import read_weights
+from tests.steps.small_shot import make_inputs
+from usdface.core.provenance import Provenance
+from usdface.runner.job import run_job
+from usdface.specs.reading import read_job
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
 
 FRAMES = 432_000
 MOST_OVERHEAD = 1.1
@@ -43,14 +52,14 @@ def run(frames: int = FRAMES) -> None:
         }
         found: dict[str, list[tuple[float, float]]] = {WHOLE: [], IDLE: []}
         for turn in range(ROUNDS):
-            found[WHOLE].append(_timed(["run", str(_job(folder, f"whole{turn}"))]))
+            found[WHOLE].append(_timed(_job(folder, f"whole{turn}"), "usdface", "run"))
             for label, (name, options) in routes.items():
                 if turn < LONG_ROUNDS or not options:
                     job = _job(folder, f"{name}{turn}")
-                    found.setdefault(label, []).append(_timed(["submit", str(job), *options]))
+                    found.setdefault(label, []).append(_timed(job, "usdface", "submit", *options))
             if turn < LONG_ROUNDS:
                 idle = _idle(folder, found[WHOLE][-1][1])
-                found[IDLE].append(_timed(["run", str(idle)], command="openjd"))
+                found[IDLE].append(_timed(idle, "openjd", "run"))
         for label, seconds in found.items():
             name = routes[label][0] if label in routes else ""
             bundle = f"{name}0.job-*.bundle/tasks/*/*.yaml"
@@ -67,22 +76,13 @@ def run(frames: int = FRAMES) -> None:
 
 def _make_shot(folder: Path, frames: int) -> None:
     """Train on a few seconds of the demo's actor, and repeat them into a long cleaned take."""
-    from tests.steps.small_shot import make_inputs
-    from usdface.core.provenance import Provenance
-    from usdface.runner.job import run_job
-    from usdface.specs.reading import read_job
-    from usdface.usdio.take.read import read_take
-    from usdface.usdio.take.write import write_take
-
     make_inputs(folder)
     job = read_job(folder / "shot.job.yaml")
     wanted = [step for step in job.steps if step.step not in ("map", "sheet")]
     run_job(job.model_copy(update={"steps": tuple(wanted)}))
     take = read_take(folder / "shot.clean.take.usda")
-    markers = take.markers
-    assert markers is not None
-    count = len(markers.positions)
-    again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
+    markers = markers_of(take)
+    again = to_and_fro(frames, len(markers.positions))
     long = replace(
         take,
         markers=replace(
@@ -124,18 +124,13 @@ def _idle(folder: Path, seconds: float) -> Path:
     return file
 
 
-def _timed(arguments: list[str], *, command: str = "usdface") -> tuple[float, float]:
+def _timed(job: Path, *command: str) -> tuple[float, float]:
     """Return processor and elapsed time of a command with its child processes [s]."""
-    found = shutil.which(command, path=str(Path(sys.executable).parent)) or command
-    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([found, *arguments], check=True, capture_output=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return used, time.perf_counter() - begun
+    found = shutil.which(command[0], path=str(Path(sys.executable).parent)) or command[0]
+    cost = measure(job.parent, found, *command[1:], str(job), environment=dict(os.environ))
+    return cost.seconds, cost.elapsed
 
 
 def _equal(folder: Path, name: str) -> bool:
-    from tests.edited_weights import read_weights
-
     whole, chunked = (read_weights(folder / f"{each}.usda") for each in ("whole0", name))
     return whole.names == chunked.names and bool(np.array_equal(whole.values, chunked.values))

@@ -10,14 +10,21 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 
+from benchmarks._process import Cost, measure
+from tests.c3d_write import write_c3d
 from usdface.core.assets import Rig
+from usdface.demo.acting import performance
+from usdface.demo.capture import ActorFace
+from usdface.demo.head import HeadPart
+from usdface.demo.rig import demo_rig, make_head
+from usdface.demo.sculpt import ACTOR
+from usdface.usdio.rig.write import write_rig
 
 RUNS = 3
 DENSE_MARKERS, DENSE_FRAMES = 1000, 400
@@ -68,18 +75,6 @@ WAITS = (
 )
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Cost of a run: processor and elapsed time [s], peak memory [MB].
-
-    On Linux the peak is at least that of this process, from which the command is started.
-    """
-
-    seconds: float
-    elapsed: float
-    peak_mb: float
-
-
 def run(*, quick: bool = False) -> None:
     """Print the table of waits."""
     before = os.environ.get("USDFACE_BEFORE")
@@ -110,22 +105,9 @@ _SHOWN = ("seconds", "elapsed", "peak_mb")
 
 
 def _usdface(folder: Path, source: Path, words: list[str]) -> Cost:
-    start = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "usdface", *words],
-        cwd=folder,
-        env=_environment(source),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
+    return measure(
+        folder, sys.executable, "-m", "usdface", *words, environment=_environment(source)
     )
-    assert process.stderr is not None
-    errors = process.stderr.read()
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"usdface {' '.join(words)}: {errors.decode()[-500:]}")
-    elapsed = time.perf_counter() - start
-    return Cost(used.ru_utime + used.ru_stime, elapsed, used.ru_maxrss / 1024)
 
 
 def _environment(source: Path) -> dict[str, str]:
@@ -139,14 +121,6 @@ def _environment(source: Path) -> dict[str, str]:
 
 def _prepare(folder: Path) -> None:
     """Make a demo, a rig with 946 shapes and a take with 1,000 markers."""
-    from tests.c3d_write import write_c3d
-    from usdface.demo.acting import performance
-    from usdface.demo.capture import ActorFace
-    from usdface.demo.head import HeadPart
-    from usdface.demo.rig import make_head
-    from usdface.demo.sculpt import ACTOR
-    from usdface.usdio.rig.write import write_rig
-
     here = Path(__file__).parents[1] / "pipeline"
     _usdface(folder, here, ["demo", "--out", "demo"])
     write_rig(folder / "many.rig.usdc", many_shapes(SHAPES))
@@ -169,8 +143,6 @@ def _prepare(folder: Path) -> None:
 
 def many_shapes(shapes: int) -> Rig:
     """Return the demo's rig without in-betweens, with correctives that are parts of its shapes."""
-    from usdface.demo.rig import demo_rig
-
     rig = demo_rig()
     own = rig.shapes
     count = shapes - len(own)

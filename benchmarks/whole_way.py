@@ -7,21 +7,31 @@ rigs have 46 and 946 shapes. `--full` runs an hour, 432,000 frames; otherwise tw
 run and extrapolated; `--quick` runs two shorter ones without extrapolation.
 """
 
-import os
-import subprocess
 import sys
 import tempfile
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:  # measured processes import modules as needed
-    from usdface.core.assets import Rig, WeightsClip
+from benchmarks._long_take import write_captures
+from benchmarks._process import Cost, measure, measure_usdface
+from benchmarks._takes import markers_of
+from benchmarks.scale import HOUR
+from tests.model.synthetic import sample_skin
+from usdface.core.assets import Markers, MeshShape, References, Rig, WeightsClip
+from usdface.core.deformer import Deformer
+from usdface.core.provenance import Provenance
+from usdface.demo.acting import performance
+from usdface.demo.rig import demo_rig
+from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.train import train_mapping
+from usdface.usdio.mapping import write_mapping
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.take.read import read_take
 
-HOUR = 432_000
 FRAMES = 12_000
 SHAPES = (46, 946)
 PAIRS = 50
@@ -30,17 +40,8 @@ METHOD = "face_map"
 LEARNED_FRAMES = 1_500
 WANTED = 4
 """Target of mapping and writing, relative to the bare write."""
-NOISE_MM = 0.1
 MARKERS = 102
 BARE_MARKERS = f"bare write of {MARKERS} markers, once"
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Processor and elapsed time of a process [s]."""
-
-    seconds: float
-    elapsed: float
 
 
 def run(frames: int = FRAMES, *, full: bool = False, quick: bool = False) -> None:
@@ -66,7 +67,8 @@ def run(frames: int = FRAMES, *, full: bool = False, quick: bool = False) -> Non
             bare[stage].seconds
             if stage in bare
             else cost.seconds + more * max(cost.seconds - few[stage].seconds, 0.0),
-            float("nan"),
+            nan,
+            nan,
         )
         for stage, cost in many.items()
     }
@@ -88,7 +90,7 @@ def _table(stages: dict[str, Cost]) -> None:
             ("ingest", stages["ingest"], ""),
             ("clean", stages["clean"], ""),
             (names[2], stages[names[2]], f"≤ {WANTED}"),
-            (f"the whole way, {shapes} shapes", Cost(whole, elapsed), ""),
+            (f"the whole way, {shapes} shapes", Cost(whole, elapsed, nan), ""),
         ):
             print(
                 f"| {label} | {cost.seconds:.1f} | {_elapsed(cost)} | "
@@ -104,12 +106,14 @@ def _way(folder: Path, frames: int) -> dict[str, Cost]:
     clean = f"{frames}.clean.take.usda"
     costs = {
         BARE_MARKERS: _bare(folder, frames, MARKERS, size=3),
-        "ingest": _usdface(folder, f"ingest {frames}.c3d --out {frames}.take.usda --neutral 31"),
-        "clean": _usdface(folder, f"clean {frames}.take.usda --out {clean}"),
+        "ingest": measure_usdface(
+            folder, f"ingest {frames}.c3d --out {frames}.take.usda --neutral 31"
+        ),
+        "clean": measure_usdface(folder, f"clean {frames}.take.usda --out {clean}"),
     }
     for shapes in SHAPES:
         costs[f"bare write, {shapes} shapes"] = _bare(folder, frames, shapes)
-        costs[f"map and write, {shapes} shapes"] = _usdface(
+        costs[f"map and write, {shapes} shapes"] = measure_usdface(
             folder,
             f"map {clean} --mapping {shapes}.mapping.usdc --rig {shapes}.rig.usdc "
             f"--out {frames}.{shapes}.usda",
@@ -139,74 +143,21 @@ layer.Save()
 
 
 def _bare(folder: Path, frames: int, count: int, *, size: int = 1) -> Cost:
-    words = map(str, (frames, count, size))
-    return _process(folder, [sys.executable, "-c", _BARE, *words])
-
-
-def _usdface(folder: Path, words: str) -> Cost:
-    return _process(folder, [sys.executable, "-m", "usdface", *words.split()])
-
-
-def _process(folder: Path, command: list[str]) -> Cost:
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    begun = time.perf_counter()
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=sys.stderr
-    )
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(command)[:200]} ended with {process.returncode}")
-    elapsed = time.perf_counter() - begun
-    return Cost(used.ru_utime + used.ru_stime, elapsed)
+    return measure(folder, sys.executable, "-c", _BARE, *map(str, (frames, count, size)))
 
 
 def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     """Write captures, rigs, and mappings that were trained on the beginning of the take."""
-    from tests.c3d_write import write_c3d
-    from usdface.demo.acting import performance
-    from usdface.demo.capture import demo_markers, simulate_capture
-    from usdface.demo.rig import make_head
-    from usdface.demo.sculpt import ACTOR
-    from usdface.usdio.take.read import read_take
-
-    actor, acted = make_head(ACTOR), performance()
-    markers = demo_markers(actor)
-    captured = simulate_capture(actor, acted, markers)
-    count = len(captured.positions)
-    rng = np.random.default_rng(0)
-    for frames in (LEARNED_FRAMES, *lengths):
-        again = np.abs((np.arange(frames) + count - 1) % (2 * count - 2) - (count - 1))
-        noise = rng.standard_normal((frames, *captured.positions.shape[1:]), dtype=np.float32)
-        write_c3d(
-            folder / f"{frames}.c3d",
-            captured.positions[again] + np.float32(NOISE_MM) * noise,
-            captured.visible[again],
-            markers.names,
-            rate=acted.weights.rate,
-            first_frame=1,
-        )
+    write_captures(folder, (LEARNED_FRAMES, *lengths))
     learned = f"{LEARNED_FRAMES}.take.usda"
-    _usdface(folder, f"ingest {LEARNED_FRAMES}.c3d --out {learned} --neutral 31")
-    _usdface(folder, f"clean {learned} --out learned.take.usda")
-    take = read_take(folder / "learned.take.usda")
+    measure_usdface(folder, f"ingest {LEARNED_FRAMES}.c3d --out {learned} --neutral 31")
+    measure_usdface(folder, f"clean {learned} --out learned.take.usda")
+    markers = markers_of(read_take(folder / "learned.take.usda"))
     for shapes in SHAPES:
-        _train(folder, shapes, take.markers, acted.weights)
+        _train(folder, shapes, markers, performance().weights)
 
 
-def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
-    from tests.model.synthetic import sample_skin
-    from usdface.core.assets import Markers, References, WeightsClip
-    from usdface.core.deformer import Deformer
-    from usdface.core.provenance import Provenance
-    from usdface.model.mapping.motion_space import fit_motion_space
-    from usdface.model.mapping.train import train_mapping
-    from usdface.usdio.mapping import write_mapping
-    from usdface.usdio.rig.read import read_rig
-    from usdface.usdio.rig.write import write_rig
-
-    if not isinstance(markers, Markers) or not isinstance(clip, WeightsClip):
-        raise SystemExit("the demo's take has no markers, or no weights")
+def _train(folder: Path, shapes: int, markers: Markers, clip: WeightsClip) -> None:
     rig, weights = _rig(shapes, clip)
     write_rig(folder / f"{shapes}.rig.usdc", rig)
     rig = read_rig(folder / f"{shapes}.rig.usdc")
@@ -236,15 +187,12 @@ def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
     write_mapping(folder / f"{shapes}.mapping.usdc", mapping, provenance=Provenance())
 
 
-def _rig(shapes: int, clip: "WeightsClip") -> tuple["Rig", np.ndarray]:
+def _rig(shapes: int, clip: WeightsClip) -> tuple[Rig, np.ndarray]:
     """Return the demo's rig with a number of shapes, and their weights in the demo's frames.
 
     Additional shapes are correctives with 1/20 of a shape's displacements, driven by it and another
     shape.
     """
-    from usdface.core.assets import MeshShape
-    from usdface.demo.rig import demo_rig
-
     rig = demo_rig()
     own = rig.shapes[: min(shapes, len(rig.shapes))]
     values = np.zeros((len(clip.values), shapes))
