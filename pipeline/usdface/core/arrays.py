@@ -19,6 +19,7 @@ Arrays = dict[str, FloatArray]
 """By name, as assets store them."""
 
 Label = TypeVar("Label", bound=Hashable)
+Real = TypeVar("Real", bound=np.floating)
 
 MAD_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation, 1 / Φ⁻¹(3/4)."""
@@ -149,10 +150,10 @@ def equal_rows(rows: BoolArray | FloatArray) -> list[IntArray]:
     return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)
 
 
-def smoothstep(values: NDArray[np.floating], low: float = 0.0, high: float = 1.0) -> Any:
-    """Return ``t^2 (3 - 2 t)``, with t from 0 at `low` to 1 at `high`, of the values' type."""
+def smoothstep(values: NDArray[Real], low: float = 0.0, high: float = 1.0) -> NDArray[Real]:
+    """Return ``t^2 (3 - 2 t)``, with t from 0 at `low` to 1 at `high`; falling if low > high."""
     t = np.clip((values - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)
+    return np.asarray(t * t * (3 - 2 * t), values.dtype)
 
 
 def coordinates_of(points: IntArray) -> IntArray:

@@ -12,9 +12,8 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, smoothstep
 from usdface.core.assets import WeightsClip
-from usdface.demo.details import smooth_step
 from usdface.demo.fields import LID_TURNS, lid_closing
 from usdface.demo.script import (
     DURATION_SECONDS,
@@ -185,8 +184,8 @@ def _moods(time: FloatArray, activity: FloatArray) -> dict[str, FloatArray]:
     rng = np.random.default_rng(11)
     curves: defaultdict[str, FloatArray] = defaultdict(lambda: np.zeros_like(time))
     for line in LINES:
-        envelope = smooth_step(line.start - 0.12, line.start + 0.36, time)
-        envelope = envelope * smooth_step(line.stop + 0.22, line.stop - 0.22, time)
+        envelope = smoothstep(time, line.start - 0.12, line.start + 0.36)
+        envelope = envelope * smoothstep(time, line.stop + 0.22, line.stop - 0.22)
         for name, value in EMOTIONS[line.emotion].items():
             sway = 1.0 + 0.10 * _drift(rng, time, 0.9)
             room = 1.0 - 0.42 * activity * name.startswith(("mouth", "jaw"))
@@ -214,7 +213,7 @@ def _blinks(time: FloatArray) -> dict[str, FloatArray]:
         lids = np.zeros_like(time)
         for start in _BLINKS:
             t = time - start - late
-            lids = np.maximum(lids, smooth_step(0.0, 0.075, t) * smooth_step(0.23, 0.10, t))
+            lids = np.maximum(lids, smoothstep(t, 0.0, 0.075) * smoothstep(t, 0.23, 0.10))
         curves["eyeBlink" + side] = 0.98 * lids
         curves["cheekSquint" + side] = 0.10 * lids
     return curves
@@ -225,10 +224,10 @@ def _gaze(time: FloatArray) -> dict[str, FloatArray]:
     rng = np.random.default_rng(5)
     yaw, pitch = np.zeros_like(time), np.zeros_like(time)
     for (_, x0, y0), (start, x1, y1) in pairwise(_GAZES):
-        step = smooth_step(start, start + 0.03 + 0.0015 * np.hypot(x1 - x0, y1 - y0), time)
+        step = smoothstep(time, start, start + 0.03 + 0.0015 * np.hypot(x1 - x0, y1 - y0))
         yaw += (x1 - x0) * step
         pitch += (y1 - y0) * step
-    awake = smooth_step(0.4, 0.8, time)
+    awake = smoothstep(time, 0.4, 0.8)
     yaw = (yaw + 0.35 * awake * _drift(rng, time, 2.0)) / _FULL_GAZE
     pitch = (pitch + 0.25 * awake * _drift(rng, time, 2.0)) / _FULL_GAZE
     left, right, up, down = (np.maximum(v, 0.0) for v in (yaw, -yaw, pitch, -pitch))
@@ -268,9 +267,9 @@ def _head_motion(time: FloatArray) -> tuple[FloatArray, FloatArray]:
     )
     motion = np.zeros((len(time), 6))
     for before, after in pairwise(poses):
-        step = smooth_step(before[0], after[0], time)
+        step = smoothstep(time, before[0], after[0])
         motion += np.outer(step, after[1:] - before[1:])
-    awake = smooth_step(0.45, 0.9, time)
+    awake = smoothstep(time, 0.45, 0.9)
     for axis, amount in enumerate((0.9, 1.1, 0.7, 2.0, 1.2, 1.8)):
         motion[:, axis] += amount * awake * _drift(rng, time, 0.7)
     for line in LINES:
@@ -282,7 +281,7 @@ def _head_motion(time: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _bump(time: FloatArray, start: float, stop: float) -> FloatArray:
     """Return a smooth pulse between two times."""
     ramp = min(0.16, 0.45 * (stop - start))
-    return smooth_step(start, start + ramp, time) * smooth_step(stop, stop - 1.3 * ramp, time)
+    return smoothstep(time, start, start + ramp) * smoothstep(time, stop, stop - 1.3 * ramp)
 
 
 def _drift(rng: np.random.Generator, time: FloatArray, frequency: float) -> FloatArray:

@@ -10,9 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, row_lengths
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    row_lengths,
+    smoothstep,
+)
 from usdface.demo.acting import ActedPerformance
-from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart
 from usdface.numerics.rigid.rigid_alignment import pose_matrices
@@ -229,7 +235,7 @@ class ActorFace:
     def pose(self, weights: FloatArray) -> FloatArray:
         """Return points without head motion [mm], for weights in the order of the shapes."""
         bent = weights * (1.0 + self._bend * (1.0 - weights))
-        gain = self._gain + (1.0 - self._gain) * smooth_step(0.6, 1.0, weights)  # 1 at weight 1
+        gain = self._gain + (1.0 - self._gain) * smoothstep(weights, 0.6, 1.0)  # 1 at weight 1
         mixed = np.clip((bent * gain) @ self._mixed, 0.0, 1.0)
         moved = np.zeros_like(self._rest)
         for weight, keys in zip(mixed, self._keys, strict=True):

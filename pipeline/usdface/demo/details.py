@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, smoothstep
 from usdface.demo.half_cage import grid_faces
 from usdface.demo.sculpt import Form, Style, trace
 
@@ -20,12 +20,6 @@ class Piece:
     """(faces, 4)"""
     colors: FloatArray
     """(points, 3): linear."""
-
-
-def smooth_step(start: float, stop: float, x: FloatArray) -> FloatArray:
-    """Return a smooth ramp from 0 at `start` to 1 at `stop`; falling if start > stop."""
-    t = np.clip((x - start) / (stop - start), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
 
 
 def eyeball(style: Style) -> Piece:
@@ -44,12 +38,10 @@ def eyeball(style: Style) -> Piece:
     turns = np.arange(32) * 2.0 * np.pi / 32
     along = (angles - pupil) / (border - pupil)
     light = np.interp(along, [0.0, 0.25, 0.75, 0.93, 1.0], [0.50, 0.9, 1.15, 0.75, 0.18])
-    ring = (
-        light[:, None, None] * iris * (1.0 + 0.9 * smooth_step(0.6, -1.0, np.sin(turns)))[:, None]
-    )
+    ring = light[:, None, None] * iris * (1.0 + 0.9 * smoothstep(np.sin(turns), 0.6, -1.0))[:, None]
     ring = ring * (1.0 + 0.10 * np.cos(11.0 * turns) + 0.06 * np.sin(5.0 * turns + 1.0))[:, None]
     white = np.array([0.80, 0.775, 0.755]) - np.outer(
-        smooth_step(0.55, 1.3, angles), [0.10, 0.20, 0.20]
+        smoothstep(angles, 0.55, 1.3), [0.10, 0.20, 0.20]
     )
     colors = np.where((angles < pupil + 0.01)[:, None, None], 0.004, ring)
     colors = np.where((angles > border)[:, None, None], white[:, None], colors)
@@ -112,7 +104,7 @@ def teeth(style: Style, *, front: float, upper: bool) -> Piece:
         )
         place = np.array([0.0, edge, front - (0.0 if upper else 2.6)])
         points.append(row + place)
-        shade = 0.45 + 0.55 * smooth_step(0.0, 0.6, swell) if parted > 0.5 else 1.0 + 0.0 * swell
+        shade = 0.45 + 0.55 * smoothstep(swell, 0.0, 0.6) if parted > 0.5 else 1.0 + 0.0 * swell
         colors.append(
             np.outer(shade, gum if part > 1.01 else enamel) * (0.5 if out < -2.0 else 1.0)
         )
@@ -147,9 +139,9 @@ def ear(style: Style, form: Form) -> Piece:
     turns = np.arange(28) * 2.0 * np.pi / 28
     s, c = np.sin(turns), np.cos(turns)
     lobe, front, top = (
-        smooth_step(-0.35, -0.95, s),
-        smooth_step(0.1, 0.9, c),
-        smooth_step(0.2, 1.0, s),
+        smoothstep(s, -0.35, -0.95),
+        smoothstep(c, 0.1, 0.9),
+        smoothstep(s, 0.2, 1.0),
     )
     depth = (15.0 + 2.2 * s - 3.0 * lobe) * c - 1.5 * front
     height = 27.0 * s + 2.0 * c
@@ -199,8 +191,8 @@ def lashes(style: Style, rim: FloatArray) -> Piece:
     """
     center = np.array(style.eye.center)
     across = (rim[:, 0] - center[0]) / style.eye.half_width
-    length = (0.7 + 2.3 * smooth_step(-0.9, 0.7, across)) * smooth_step(-1.05, -0.7, across)
-    length = length * smooth_step(1.0, 0.72, across) + 0.25
+    length = (0.7 + 2.3 * smoothstep(across, -0.9, 0.7)) * smoothstep(across, -1.05, -0.7)
+    length = length * smoothstep(across, 1.0, 0.72) + 0.25
     out = rim - center
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     rows = []
@@ -231,7 +223,7 @@ def hair_cap(style: Style, form: Form) -> Piece:
     line -= 8.0 * np.exp(-(((azimuth + 24.0) / 20.0) ** 2)) - 5.0 * np.exp(
         -(((azimuth - 17.0) / 9.0) ** 2)
     )
-    line -= 2.2 * np.sin(azimuth * 0.42) * smooth_step(70.0, 40.0, np.abs(azimuth))
+    line -= 2.2 * np.sin(azimuth * 0.42) * smoothstep(np.abs(azimuth), 70.0, 40.0)
     turn = np.radians(azimuth)
     middle = np.array(style.skull.cranium)
     side = np.stack([np.sin(turn), 0.0 * turn, np.cos(turn)], axis=1)
@@ -259,19 +251,19 @@ def _thickness(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the height of the hair above the scalp [mm], and the profile of locks [0-1]."""
     x, y, z = scalp[..., 0], scalp[..., 1], scalp[..., 2]
-    crown = smooth_step(1.0, 0.72, along)
-    swept = smooth_step(85.0, 20.0, np.abs(azimuth + 18.0)) * crown
-    nape = smooth_step(95.0, 150.0, np.abs(azimuth))
-    volume = 6.5 + 10.0 * swept * smooth_step(0.0, 0.25, along) + 3.0 * smooth_step(0.2, 0.6, along)
-    volume = volume - 2.5 * nape * smooth_step(0.35, 0.0, along)
-    top = smooth_step(45.0, 75.0, y) * crown
+    crown = smoothstep(along, 1.0, 0.72)
+    swept = smoothstep(np.abs(azimuth + 18.0), 85.0, 20.0) * crown
+    nape = smoothstep(np.abs(azimuth), 95.0, 150.0)
+    volume = 6.5 + 10.0 * swept * smoothstep(along, 0.0, 0.25) + 3.0 * smoothstep(along, 0.2, 0.6)
+    volume = volume - 2.5 * nape * smoothstep(along, 0.35, 0.0)
+    top = smoothstep(y, 45.0, 75.0) * crown
     aside = x - _PARTING_X - 0.12 * (z - 60.0)
-    volume = volume - 5.0 * np.exp(-((aside / 4.0) ** 2)) * top * smooth_step(-40.0, 10.0, z)
+    volume = volume - 5.0 * np.exp(-((aside / 4.0) ** 2)) * top * smoothstep(z, -40.0, 10.0)
     # Locks run back from the forehead and away from the parting, in planes through the head.
     across = np.abs(aside) * 0.75 - 0.40 * y + 0.08 * z
     across = across + 2.0 * np.sin(0.045 * z + 0.03 * y)
     broad = 0.5 + 0.5 * np.sin(0.34 * across)
     fine = 0.5 + 0.5 * np.sin(0.95 * across + 1.4 * np.sin(0.05 * z))
     lock = 0.68 * broad**0.55 + 0.32 * fine
-    relief = 3.6 * (lock - 0.6) * crown * smooth_step(0.0, 0.05, along)
+    relief = 3.6 * (lock - 0.6) * crown * smoothstep(along, 0.0, 0.05)
     return volume + relief, lock * crown + 0.55 * (1.0 - crown)

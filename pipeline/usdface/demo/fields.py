@@ -8,8 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
-from usdface.demo.details import smooth_step
+from usdface.core.arrays import FloatArray, smoothstep
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
 
@@ -43,10 +42,10 @@ class FaceFields:
         self.eye_ring, self.eye_side = head.marks[:, Mark.EYE_RING], head.marks[:, Mark.EYE_SIDE]
         ring, self.lip_side = head.marks[:, Mark.MOUTH_RING], head.marks[:, Mark.MOUTH_SIDE]
         inside = np.interp(ring, [-5.0, -4.0, -3.0, -2.0, -1.0, 0.0], [0, 0.05, 0.25, 0.7, 0.95, 1])
-        soft = np.isin(head.parts, (HeadPart.SKIN, HeadPart.BROWS)) * smooth_step(0.0, 40.0, self.z)
+        soft = np.isin(head.parts, (HeadPart.SKIN, HeadPart.BROWS)) * smoothstep(self.z, 0.0, 40.0)
         self.soft = np.where(ring < 0.0, inside, soft)
         """Softness of the skin [0-1]: 1 in front, 0 at the back."""
-        self.off_lid = smooth_step(0.8, 3.6, self.eye_ring)
+        self.off_lid = smoothstep(self.eye_ring, 0.8, 3.6)
         self._lip_weights(ring)
         self._lid_angles()
 
@@ -57,16 +56,16 @@ class FaceFields:
         """Height above the line of the lips [mm]."""
         self.open_width = np.maximum(1.0 - np.minimum(across, 1.0) ** 2, 0.0) ** 0.55
         """1 in the middle of the lips, 0 in the corners."""
-        reach = smooth_step(4.3, 1.6, ring) * self.soft
+        reach = smoothstep(ring, 4.3, 1.6) * self.soft
         self.upper = reach * np.clip(self.lip_side, 0.0, 1.0)
         self.lower = reach * np.clip(-self.lip_side, 0.0, 1.0)
-        self.lips = smooth_step(3.6, 1.6, ring) * self.soft
+        self.lips = smoothstep(ring, 3.6, 1.6) * self.soft
 
         # The jaw's skin is separated from the upper face by a line from the mouth to the ear.
-        parted = np.clip(self.lip_side, -1.0, 1.0) * self.open_width * smooth_step(4.6, 1.0, ring)
+        parted = np.clip(self.lip_side, -1.0, 1.0) * self.open_width * smoothstep(ring, 4.6, 1.0)
         line = self.above_line - 0.38 * np.maximum(78.0 - self.z, 0.0)
         down = np.clip(line / 24.0 + parted, -1.0, 1.0)
-        flesh = (0.5 - 0.5 * np.sin(0.5 * np.pi * down)) * smooth_step(-14.0, 46.0, self.z)
+        flesh = (0.5 - 0.5 * np.sin(0.5 * np.pi * down)) * smoothstep(self.z, -14.0, 46.0)
         bag = 0.5 - 0.5 * np.clip(self.lip_side, -1.0, 1.0) * self.open_width**0.5
         skin = self.head.parts == HeadPart.SKIN
         self.jaw = np.where(skin, np.where(ring < -0.5, bag, flesh), 0.0)
@@ -114,7 +113,7 @@ class FaceFields:
         ends = np.sin(np.pi * np.clip(0.12 + 0.76 * along, 0.0, 1.0))
         distance = np.linalg.norm(near, axis=1)
         dent = -np.exp(-((distance / width) ** 2))
-        roll = np.exp(-((distance / (2.6 * width)) ** 2)) * smooth_step(0.0, width, outer)
+        roll = np.exp(-((distance / (2.6 * width)) ** 2)) * smoothstep(outer, 0.0, width)
         amount = depth * ends * (dent + 0.8 * roll) * self.soft * (self.lips < 0.5)
         return np.outer(amount, (0.25, 0.0, 1.0))
 
@@ -163,7 +162,7 @@ class FaceFields:
             pulled.append(np.column_stack([np.interp(signed, x, v) for v in values.T]))
         end = max(float(head.points[rim, 0].max()) for rim in rims)
         gap: FloatArray = pulled[1] - pulled[0]
-        return gap * smooth_step(1.3, 1.0, self.x / end)[:, None]
+        return gap * smoothstep(self.x / end, 1.3, 1.0)[:, None]
 
 
 def lid_closing(name: str) -> float:

@@ -7,10 +7,9 @@ from enum import IntEnum
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, smoothstep
 from usdface.demo import details
 from usdface.demo.cage import lay_eye, lay_grid, lay_grid_faces, lay_mouth
-from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import NO_RING, HalfCage, Mark, Whole, mirror_half, refine
 from usdface.demo.sculpt import Form, Style, head_form, settle
 
@@ -26,7 +25,7 @@ def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
     """
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     eye, nose, mouth = style.eye, style.nose, style.mouth
-    front = smooth_step(20.0, 60.0, z)
+    front = smoothstep(z, 20.0, 60.0)
 
     def spot(cx: float, cy: float, rx: float, ry: float) -> FloatArray:
         return front * np.exp(-(((x - cx) / rx) ** 2) - ((y - cy) / ry) ** 2)
@@ -43,28 +42,28 @@ def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
 
     ring, side = marks[:, Mark.MOUTH_RING], marks[:, Mark.MOUTH_SIDE]
     lip = np.array(style.palette.lip) * np.where(side > 0.0, 0.86, 1.04)[:, None]
-    color = _mix(color, lip, smooth_step(2.30, 1.80, ring))
-    color = _mix(color, 0.55 * np.array(style.palette.lip), smooth_step(0.45, -0.1, ring))
-    color = _mix(color, np.array([0.30, 0.075, 0.065]), smooth_step(-0.4, -1.6, ring))
-    color = _mix(color, np.array([0.045, 0.010, 0.009]), smooth_step(-1.6, -3.2, ring))
+    color = _mix(color, lip, smoothstep(ring, 2.30, 1.80))
+    color = _mix(color, 0.55 * np.array(style.palette.lip), smoothstep(ring, 0.45, -0.1))
+    color = _mix(color, np.array([0.30, 0.075, 0.065]), smoothstep(ring, -0.4, -1.6))
+    color = _mix(color, np.array([0.045, 0.010, 0.009]), smoothstep(ring, -1.6, -3.2))
     corner = spot(mouth.half_width + 1.0, mouth.height + mouth.curve, 3.0, 1.6)
     color *= 1.0 - 0.45 * corner[:, None] * (ring > -0.5)[:, None]
 
     ring, side = marks[:, Mark.EYE_RING], marks[:, Mark.EYE_SIDE]
-    color = _mix(color, 0.80 * np.array(style.palette.lip), 0.65 * smooth_step(0.15, -0.4, ring))
+    color = _mix(color, 0.80 * np.array(style.palette.lip), 0.65 * smoothstep(ring, 0.15, -0.4))
     lash_line = (
-        smooth_step(0.0, 0.35, side) * smooth_step(0.42, 0.15, ring) * smooth_step(-1.5, -0.9, ring)
+        smoothstep(side, 0.0, 0.35) * smoothstep(ring, 0.42, 0.15) * smoothstep(ring, -1.5, -0.9)
     )
     color = _mix(color, 0.25 * np.array(style.palette.brow), lash_line)
     color = _mix(
         color,
         np.array([0.10, 0.04, 0.03]),
-        0.45 * smooth_step(0.0, -0.4, side) * smooth_step(0.35, 0.1, np.abs(ring)),
+        0.45 * smoothstep(side, 0.0, -0.4) * smoothstep(np.abs(ring), 0.35, 0.1),
     )
-    crease = np.exp(-(((ring - 2.1) / 0.35) ** 2)) * smooth_step(0.1, 0.6, side)
+    crease = np.exp(-(((ring - 2.1) / 0.35) ** 2)) * smoothstep(side, 0.1, 0.6)
     color *= 1.0 - np.outer(crease, (0.18, 0.28, 0.28))
     return _mix(
-        color, np.array([0.03, 0.008, 0.006]), smooth_step(0.02, 0.45, marks[:, Mark.NOSTRIL])
+        color, np.array([0.03, 0.008, 0.006]), smoothstep(marks[:, Mark.NOSTRIL], 0.02, 0.45)
     )
 
 
@@ -188,7 +187,7 @@ def _close_lips(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
     top, bottom = (np.interp(x, points[r, 0], points[r, 1]) for r in (upper, lower))
     top_z, bottom_z = (np.interp(x, points[r, 0], points[r, 2]) for r in (upper, lower))
     ring, side = marks[:, Mark.MOUTH_RING], marks[:, Mark.MOUTH_SIDE]
-    near = smooth_step(2.2, 0.0, np.abs(ring)) * (np.abs(x) < style.mouth.half_width)
+    near = smoothstep(np.abs(ring), 2.2, 0.0) * (np.abs(x) < style.mouth.half_width)
     half_gap = 0.5 * (top - bottom) - 0.06
     moved = points.copy()
     moved[:, 1] -= near * np.sign(side) * half_gap

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, smoothstep
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
-from usdface.demo.details import smooth_step
 from usdface.demo.fields import LID_TURNS, FaceFields
 from usdface.demo.head import DemoHead, HeadPart, bare_head
 from usdface.demo.sculpt import CHARACTER, Style
@@ -53,7 +52,7 @@ def _sided(head: DemoHead, field: FloatArray) -> FloatArray:
     """Return the left side of a field."""
     x = head.points[:, 0]
     left = np.where(
-        np.isin(head.parts, (HeadPart.EYES, HeadPart.LASHES)), x > 0.0, smooth_step(-5.5, 5.5, x)
+        np.isin(head.parts, (HeadPart.EYES, HeadPart.LASHES)), x > 0.0, smoothstep(x, -5.5, 5.5)
     )
     return field * _sign(head) * left[:, None]
 
@@ -122,8 +121,8 @@ def _eye_pairs(f: FaceFields) -> dict[str, FloatArray]:
 def _lid_bulge(f: FaceFields, outwards: float) -> FloatArray:
     """Move the lids slightly to the side of the gaze."""
     eye = f.style.eye
-    near = np.exp(-(((f.x - eye.center[0]) / eye.half_width) ** 2)) * smooth_step(
-        3.0, 1.0, f.eye_ring
+    near = np.exp(-(((f.x - eye.center[0]) / eye.half_width) ** 2)) * smoothstep(
+        f.eye_ring, 3.0, 1.0
     )
     return np.outer(near * (np.abs(f.eye_side) > 0.2), (0.9 * outwards, 0.0, 0.0))
 
@@ -188,7 +187,7 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
     tall = np.maximum(np.abs(f.above_line) - 7.0, 0.0)
     # Lips part by side; around the corners, which have no side, skin parts by height.
     by_height = np.clip(f.above_line / 7.0, -1.0, 1.0)
-    parted = by_height + smooth_step(0.0, 0.6, f.lips) * (np.clip(4.0 * side, -1, 1) - by_height)
+    parted = by_height + smoothstep(f.lips, 0.0, 0.6) * (np.clip(4.0 * side, -1, 1) - by_height)
     share = np.where(parted > 0.0, 0.40 * parted, 0.60 * parted)
     # The jaw moves back as it opens, which only the lower lip compensates.
     forward = np.minimum(parted, 0.0)

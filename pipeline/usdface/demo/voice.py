@@ -8,8 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import Float32Array, FloatArray
-from usdface.demo.details import smooth_step
+from usdface.core.arrays import Float32Array, FloatArray, smoothstep
 from usdface.demo.script import DURATION_SECONDS, GLIDES, TimedPhone, timed_phones
 
 _WINDOW_SAMPLES = 1024  # length of a spectral frame, with an overlap of one half
@@ -125,8 +124,8 @@ def _gate(time: FloatArray, phones: list[TimedPhone], ramp: float) -> FloatArray
     for p in phones:
         first, last = np.searchsorted(time, [p.start - ramp, p.stop + ramp])
         t = time[first:last]
-        shape = smooth_step(p.start - ramp, p.start + ramp, t) * smooth_step(
-            p.stop + ramp, p.stop - ramp, t
+        shape = smoothstep(t, p.start - ramp, p.start + ramp) * smoothstep(
+            t, p.stop + ramp, p.stop - ramp
         )
         gate[first:last] = np.maximum(gate[first:last], shape)
     return gate
@@ -167,6 +166,6 @@ def _band(
     spectrum: NDArray[np.complex128], frequency: FloatArray, low: float, high: float, count: int
 ) -> FloatArray:
     """Return normalised noise between two frequencies [Hz]."""
-    edge = smooth_step(0.8 * low, low, frequency) * smooth_step(1.15 * high, high, frequency)
+    edge = smoothstep(frequency, 0.8 * low, low) * smoothstep(frequency, 1.15 * high, high)
     band = np.fft.irfft(spectrum * edge, count)
     return np.asarray(band / max(float(np.std(band)) * 3.0, 1e-9))
