@@ -44,10 +44,9 @@ class TakeReader:
                 "make one from it with `usdface ingest`"
             )
         self._root = root
-        rate = self._stage.GetTimeCodesPerSecond()
-        if not rate > 0:
-            raise InputError(f"{path}: timeCodesPerSecond is {rate:g}; a take needs a rate above 0")
-        self.rate = exact_rate(rate, where=f"{path}: timeCodesPerSecond")
+        self.rate = exact_rate(
+            self._stage.GetTimeCodesPerSecond(), where=f"{path}: timeCodesPerSecond"
+        )
         start, end = self._stage.GetStartTimeCode(), self._stage.GetEndTimeCode()
         self._ours = stage_to_ours(self._stage)
         self._prims = {
