@@ -278,15 +278,7 @@ class PointExtents:
         """Write the extents of frames, whose points are (frames, points, 3) in stage units."""
         if not points.size:
             return
-        low, high = (_halved(function, points) for function in (np.minimum, np.maximum))
-        ends = np.stack([low - self._radius, high + self._radius], 1)
+        columns = np.ascontiguousarray(points.transpose(0, 2, 1))  # seven times as fast
+        ends = np.stack([columns.min(axis=2) - self._radius, columns.max(axis=2) + self._radius], 1)
         for frame, end in zip(frames, ends.astype(np.float32), strict=True):
             layer.SetTimeSample(self._path, frame, Vt.Vec3fArray.FromNumpy(end))
-
-
-def _halved(function: np.ufunc, points: Float32Array) -> Float32Array:
-    """Return the extreme of each frame's points."""
-    while (count := points.shape[1]) > 1:
-        half = (count + 1) // 2
-        points = function(points[:, :half], points[:, count - half :])
-    return points[:, 0]
