@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -24,6 +23,7 @@ from scipy.stats import spearmanr
 
 from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
+from benchmarks._takes import markers_of, performer_of
 from tests.conftest import SHARED_DATA
 from tests.model.synthetic import align_markers, sample_skin
 from usdface.core.assets import References, Rig, Take, TrainedMapping
@@ -32,7 +32,7 @@ from usdface.model.mapping.predict import Prediction, predict_weights
 from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
-from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
+from usdface.model.selection.baseline import set_up_equation
 from usdface.numerics.measure.face_regions import points_by_region, region_gram
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
@@ -232,9 +232,7 @@ def _setup(
     take: tuple[Take, np.ndarray, tuple[str, ...]],
     rows: np.ndarray,
 ) -> Setup:
-    markers = take[0].markers
-    if markers is None:
-        raise SystemExit(f"{name}: no markers")
+    markers = markers_of(take[0])
     columns = [take[2].index(shape) for shape in references.shape_names]
     some = replace(
         markers,
@@ -285,19 +283,9 @@ def _bounded(
     markers: np.ndarray, visible: np.ndarray, setup: Setup, ruler: Ruler, folder: Path
 ) -> np.ndarray:
     """Solve the blendshape equation, which needs no references."""
-    take: Any = _read_take(folder / "crosstake")[0]
-    rigid = tuple(take.markers.names.index(name) for name in take.markers.rigid)
-    equation = set_up_equation(
-        ruler.rig,
-        ruler.deformer,
-        PerformerMarkers(
-            neutral=setup.references.neutral.astype(float),
-            positions=take.markers.positions,
-            visible=take.markers.visible,
-            rigid=rigid,
-            labels=take.markers.names,
-        ),
-    )
+    performer = performer_of(_read_take(folder / "crosstake")[0])
+    neutral = setup.references.neutral.astype(float)
+    equation = set_up_equation(ruler.rig, ruler.deformer, replace(performer, neutral=neutral))
     weights = equation.propose(markers.astype(float), visible=visible)
     return weights[:, [ruler.rig.shapes.index(name) for name in setup.references.shape_names]]
 
@@ -314,23 +302,9 @@ def _print_partly_tuned(setup: Setup, ruler: Ruler, folder: Path) -> None:
         weights = np.where(tuned[:, None], references.weights, proposals)
         cells = [
             figures(solve(replace(setup, references=each), ruler, METHODS[0]).weights, setup, ruler)
-            for each in (replace(references, weights=weights), _first_pairs(references, count))
+            for each in (replace(references, weights=weights), references.rows(tuned))
         ]
         print(f"| {count} | {' | '.join(cells)} |", flush=True)
-
-
-def _first_pairs(references: References, count: int) -> References:
-    return replace(
-        references,
-        markers=references.markers[:count],
-        weights=references.weights[:count],
-        frames=references.frames[:count],
-        takes=references.takes[:count],
-        tuned=references.tuned[:count],
-        visemes=(),
-        emotions=(),
-        authors=(),
-    )
 
 
 def _print_uncertainty(
@@ -360,24 +334,12 @@ def brow_share(folder: Path, ruler: Ruler, method: str) -> float:
     cheeks_take, brows_take = (
         read_take(folder / f"{name}.clean.take.usda") for name in ("CheeksMoCap", "EyebrowsMoCap")
     )
-    cheeks, brows = cheeks_take.markers, brows_take.markers
-    if cheeks is None or brows is None:
-        raise SystemExit("the recorded takes have no markers")
     columns = [ruler.rig.shapes.index(name) for name in references.shape_names]
     mapping = ruler.train(references, method)
-    placed = align_markers(mapping, brows, rate=float(brows_take.rate))
+    placed = align_markers(mapping, markers_of(brows_take), rate=float(brows_take.rate))
     rows = slice(None, None, 3)
-    equation = set_up_equation(
-        ruler.rig,
-        ruler.deformer,
-        PerformerMarkers(
-            neutral=references.neutral.astype(float),
-            positions=cheeks.positions,
-            visible=cheeks.visible,
-            rigid=tuple(cheeks.names.index(name) for name in references.rigid),
-            labels=cheeks.names,
-        ),
-    )
+    performer = replace(performer_of(cheeks_take), neutral=references.neutral.astype(float))
+    equation = set_up_equation(ruler.rig, ruler.deformer, performer)
     baseline = equation.propose(placed.positions[rows].astype(float), visible=placed.visible[rows])[
         :, columns
     ]

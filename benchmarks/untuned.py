@@ -18,6 +18,7 @@ from benchmarks._placement_subjects import (
     head_of,
     simulate_take,
 )
+from benchmarks.performers import choose_pairs
 from tests.conftest import SHARED_DATA
 from tests.model.synthetic import sample_skin
 from usdface.core.assets import References, TrainedMapping
@@ -26,13 +27,11 @@ from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS, proposal_error
-from usdface.numerics.regression.reference_design import design_gp_variance, whiten
 from usdface.usdio.rig.read import read_rig
 
 SEEDS = (11, 12)
 PAIRS = 50
 TUNED = (0, 10, 25, 40)
-DESIGN_DIMENSIONS = 32
 
 
 def run() -> None:
@@ -64,9 +63,7 @@ def _score(head: Head, take: SimulatedTake, tuned: int, seed: int) -> list[str]:
     first = take.positions[:half]
     equation = find_equation(head, first, take.neutral, take.rigid, take.labels)
     motion = fit_motion_space([first.astype(np.float32)])
-    kept = DESIGN_DIMENSIONS
-    rows = (first.reshape(half, -1) - motion.mean) @ motion.components[:kept].T
-    chosen = design_gp_variance(whiten(rows, motion.variances[:kept]), PAIRS).chosen
+    chosen = choose_pairs(first, motion, PAIRS)
     proposals = equation.propose(take.positions[chosen])
     is_tuned = np.random.default_rng(seed).permutation(PAIRS) < tuned
     weights = np.where(is_tuned[:, None], take.weights[chosen], proposals)
