@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
+from tests.conftest import SHARED_DATA
 from tests.model.synthetic import sample_skin
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, References, Rig, ShapeKey
@@ -37,7 +38,6 @@ from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.usdio.rig.read import read_rig
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PRIMARIES = 72
 ROWS = 50
 NOISE = 0.05
@@ -47,7 +47,7 @@ MARKERS, PAIRS, FRAMES = 100, 40, 2048
 
 def run() -> None:
     """Print lost energy, and ratios of times."""
-    weights = np.load(DATA / "compskin" / "test_anim.npz")["weights"].astype(np.float64)
+    weights = np.load(SHARED_DATA / "compskin" / "test_anim.npz")["weights"].astype(np.float64)
     print(f"| correctives of compskin, logic from {ROWS} rows | energy lost | wanted |")
     print("|---|---|---|")
     for label, rows in (
@@ -57,7 +57,7 @@ def run() -> None:
         _print_lost(label, weights, rows)
     _print_mapped()
     ratio = _mapping_ratio()
-    print(f"\n| mapping on facecap_head, 51 shapes | measured | wanted |\n|---|---|---|")  # noqa: F541
+    print("\n| mapping on facecap_head, 51 shapes | measured | wanted |\n|---|---|---|")
     print(f"| time with {COMBINATIONS} combinations over that without | {ratio:.2f} × | ≤ 1.3 × |")
 
 
@@ -66,7 +66,7 @@ def _print_lost(label: str, weights: FloatArray, rows: IntArray) -> None:
     rest = np.setdiff1d(np.arange(len(weights)), rows)
     noise = NOISE * np.random.default_rng(0).normal(size=primaries[rest].shape)
     off = np.clip(primaries[rest] + noise, 0.0, 1.0)
-    inferred, stated = _logic(weights[rows]), _logic(weights[::4])
+    inferred, stated = _Logic(weights[rows]), _Logic(weights[::4])
     line = fit_linear_ridge(primaries[rows], driven[rows])
     channels = np.clip((primaries[rest] - line.mean) @ line.coefficients + line.intercept, 0, 1)
 
@@ -81,7 +81,7 @@ def _print_lost(label: str, weights: FloatArray, rows: IntArray) -> None:
     print(f"| independent channels, linear ridge | {lost(channels)} |  |", flush=True)
 
 
-class _logic:  # noqa: N801
+class _Logic:
     """Correctives by the logic inferred from rows; 0 without logic."""
 
     def __init__(self, rows: FloatArray) -> None:
@@ -100,8 +100,8 @@ class _logic:  # noqa: N801
 
 def _print_mapped() -> None:
     """Print the lost energy of in-betweens on a mapped take, and the error of the weights."""
-    truth = np.load(DATA / "crosstake" / "truth.npz")
-    file = DATA / "rigs" / "facecap_head.usdc"
+    truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+    file = SHARED_DATA / "rigs" / "facecap_head.usdc"
     rig = read_rig(file)
     gaze = set(gaze_shapes(rig.shapes).tolist())
     skin = [name for index, name in enumerate(rig.shapes) if index not in gaze]
@@ -141,7 +141,7 @@ def _farthest(points: FloatArray, count: int) -> IntArray:
 
 def _mapping_ratio() -> float:
     """Return the time of a mapping with combinations divided by that without."""
-    bare = read_rig(DATA / "rigs" / "facecap_head.usdc")
+    bare = read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc")
     driven = with_combinations(bare, COMBINATIONS)
     predictors = [_trained(rig) for rig in (bare, driven)]
     seconds = [np.inf, np.inf]
@@ -184,7 +184,7 @@ def with_combinations(rig: Rig, count: int) -> Rig:
 
 def _trained(rig: Rig) -> tuple[WeightPredictor, FloatArray]:
     """Train on keys of crosstake with markers at points of the rig; return all frames' markers."""
-    truth = np.load(DATA / "crosstake" / "truth.npz")
+    truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
     names = [str(name) for name in truth["shapes"]]
     weights = truth["weights"][:, [names.index(name) for name in rig.shapes]].astype(np.float64)
     deformer = Deformer(rig)
