@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks._takes import channel_of
 from benchmarks.retarget import strongest
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import MeshShape, Rig, ShapeKey
@@ -85,7 +86,7 @@ def make_target(
         rig = dog_rig()
         return (lambda weights: act(names, weights).weights), rig, _offsets(rig)
     base = read_rig(SHARED_DATA / "rigs" / f"{setup.target}.usdc")
-    dense, own = _offsets(base), [_channel(name) for name in base.shapes]
+    dense, own = _offsets(base), [channel_of(name) for name in base.shapes]
     channels = np.zeros((len(names), *dense.shape[1:]))
     for row, name in enumerate(names):
         sides = [own.index(s) for s in (name, name + "left", name + "right") if s in own]
@@ -155,10 +156,6 @@ def _decompose(
             gone[mate] = True
     control = control[:, ~gone]
     return control, np.einsum("cs,spd->cpd", np.linalg.pinv(control), channels)
-
-
-def _channel(name: str) -> str:
-    return name.lower().replace("_l", "left").replace("_r", "right")
 
 
 def _offsets(rig: Rig) -> np.ndarray:

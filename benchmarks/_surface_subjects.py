@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from benchmarks._takes import weights_of
+from benchmarks._takes import channel_of, weights_of
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import RigMesh
@@ -69,7 +69,7 @@ def recorded_subject(frames: int, *, markers: int = 42) -> Subject | None:
     recorded = {name.lower(): clip.values[:, i] for i, name in enumerate(clip.names)}
     weights = np.zeros((len(clip.values), len(rig.shapes)))
     for column, name in enumerate(rig.shapes):
-        plain = name.lower().replace("_l", "left").replace("_r", "right")
+        plain = channel_of(name)
         for key in (plain, plain.removesuffix("left").removesuffix("right")):
             if key in recorded:
                 weights[:, column] = np.clip(recorded[key], 0, 1)

@@ -26,3 +26,8 @@ def weights_of(take: Take) -> WeightsClip:
     if take.source is None:
         raise SystemExit(f"{take.name}: has no weights, which this benchmark needs")
     return take.source
+
+
+def channel_of(shape: str) -> str:
+    """Return a shape's name as of a phone's channel, in lower case: ``eyeBlink_L``."""
+    return shape.lower().replace("_l", "left").replace("_r", "right")

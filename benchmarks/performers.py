@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks._takes import weights_of
+from benchmarks._takes import channel_of, weights_of
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import MotionSpace, References, TrainedMapping
@@ -245,7 +245,7 @@ def shapes_of_rig(file: Path, names: tuple[str, ...]) -> Shapes:
     rig = read_rig(file)
     deformer = Deformer(rig)
     dense = deformer.shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
-    own = [name.lower().replace("_l", "left").replace("_r", "right") for name in rig.shapes]
+    own = [channel_of(name) for name in rig.shapes]
     offsets = np.zeros((len(names), *dense.shape[1:]))
     for i, name in enumerate(names):
         sides = [own.index(s) for s in (name, name + "left", name + "right") if s in own]

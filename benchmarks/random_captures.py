@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from benchmarks._takes import channel_of
 from benchmarks.confidence import errors_by_region
 from benchmarks.performers import Shapes, performance
 from tests.c3d_write import write_c3d
@@ -197,7 +198,7 @@ def _draw(rng: np.random.Generator) -> Setup:
 
 def _columns(names: tuple[str, ...], channels: tuple[str, ...]) -> list[tuple[int, int]]:
     """Return the columns of a rig's shapes and of the channels of a phone that drive them."""
-    own = [name.lower().replace("_l", "left").replace("_r", "right") for name in names]
+    own = [channel_of(name) for name in names]
     bare = [each.removesuffix("left").removesuffix("right") for each in own]
     return [
         (column, channels.index(name))
@@ -238,7 +239,7 @@ def _shapes(file: Path) -> Shapes:
     rig = read_rig(file)
     deformer = Deformer(rig)
     flat = deformer.shapes.target_offsets().toarray()
-    names = tuple(each.lower().replace("_l", "left").replace("_r", "right") for each in rig.shapes)
+    names = tuple(channel_of(each) for each in rig.shapes)
     gram = flat @ flat.T / len(deformer.neutral)
     return Shapes(names, deformer.neutral, flat.reshape(len(flat), -1, 3), gram)
 
@@ -377,10 +378,7 @@ def _score(file: Path, truth: np.ndarray, shapes: Shapes) -> tuple[float, list[f
     samples = animation.GetAttribute("blendShapeWeights")
     frames = samples.GetTimeSamples()
     values = np.array([samples.Get(frame) for frame in frames])
-    order = [
-        name.lower().replace("_l", "left").replace("_r", "right")
-        for name in animation.GetAttribute("blendShapes").Get()
-    ]
+    order = [channel_of(name) for name in animation.GetAttribute("blendShapes").Get()]
     solved = values[:, [order.index(name) for name in shapes.names]]
     difference = solved - truth[np.array(frames, int) - 1]
     named = animation.GetAttribute("face:residual:regions").Get()  # None of the baseline
