@@ -316,7 +316,7 @@ def _print_both(shot: _Shot, inputs: DemoInputs, video: Path) -> None:
         sources=(inputs.capture,),
         out=raw,
         video=video,
-        video_offset=inputs.video_offset_seconds,
+        video_offset=OFFSET_SECONDS,
         rigid=inputs.rigid_markers,
         neutral=inputs.neutral_frame,
     )

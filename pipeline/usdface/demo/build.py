@@ -232,8 +232,6 @@ class DemoInputs:
     """Names of the markers that move with the skull only."""
     neutral_frame: int
     """Frame of the capture with the face at rest."""
-    video_offset_seconds: float
-    """Take time of the video's first frame [s]."""
     truth: WeightsClip
     """The animator's weights on every frame, of the animated shapes."""
 
@@ -286,7 +284,6 @@ def write_demo_inputs(
         phones=phones_file,
         rigid_markers=markers.rigid,
         neutral_frame=acted.neutral_frame,
-        video_offset_seconds=OFFSET_SECONDS,
         truth=acted.weights,
     )
 

@@ -14,6 +14,7 @@ from usdface.demo import JOB_NAME
 from usdface.demo.build import (
     CLIP_SIZE,
     FOCAL_LENGTH,
+    OFFSET_SECONDS,
     DemoInputs,
     weights_on_video,
     write_demo_inputs,
@@ -135,7 +136,7 @@ def _take(inputs: DemoInputs, folder: Path, model: Path | None) -> IngestSpec | 
             sources=(inputs.capture.relative_to(folder),),
             out=out,
             video=video,
-            video_offset=inputs.video_offset_seconds,
+            video_offset=OFFSET_SECONDS,
             rigid=inputs.rigid_markers,
             neutral=inputs.neutral_frame,
             performer="the demo's actor",

@@ -66,7 +66,7 @@ _PITCH = {"neutral": 118.0, "happiness": 158.0, "anger": 142.0, "sadness": 104.0
 _LOUD = {"neutral": 0.8, "happiness": 1.0, "anger": 1.15, "sadness": 0.6}
 
 
-def speak(sample_rate: int = 48000) -> Float32Array:
+def speak(sample_rate: int) -> Float32Array:
     """Return the sound of the script, mono, as long as the performance: (samples,) [-1 to 1]."""
     count = round(DURATION_SECONDS * sample_rate)
     time = np.arange(count) / sample_rate
