@@ -36,11 +36,11 @@ MAX_STRETCH = 0.04
 standard deviations of 5 to 8 %."""
 
 _CRITICAL_STRETCH_T = 4.0
-"""Standard errors of the stretch: randomly reapplied markers exceed them with p = 1 / 16,000."""
+"""Standard errors of the stretch, which neutral faces of one person exceed with p = 1 / 16,000."""
 
-MAX_REAPPLIED_MM = 8.0
-"""Largest root mean square shift of reapplied markers: marks on the skin are met within 2 to 4 mm.
-"""
+_REAPPLIED_MM, MAX_REAPPLIED_MM = 4.0, 8.0
+"""Usual and largest root mean square shift of reapplied markers: marks on the skin are met within 2
+to 4 mm."""
 
 _EXCHANGED_SHARE = 0.3
 """Distance of a marker from another's place, over that of the two places, below which it lies
@@ -79,6 +79,8 @@ class TakeNeutral:
     stated_mm: float = float("nan")
     """`frame_mm`, `stated_mm`: Distance of each from the neutral face after the offset, root mean
     square [mm]; NaN if the stated frame was not compared."""
+    other_face: str = ""
+    """How its proportions differ from the performer's, of whom it is stated to be."""
     reapplied_share: float = float("nan")
     """Share of neighbouring pairs whose ranges of distance are disjoint from the performer's; NaN
     if not measured, as in takes of less than ten seconds."""
@@ -101,6 +103,10 @@ class TakeNeutral:
     def notes(self, take: str) -> tuple[str, ...]:
         """Return notes on the take's neutral face."""
         notes = []
+        if self.other_face:
+            notes.append(
+                f"{take} may be of another performer than it states: {self.other_face}; look at it"
+            )
         if self.offset.any():
             length = np.linalg.norm(self.offset, axis=1)
             worst = [
@@ -177,8 +183,12 @@ def compare_neutral(
     other_session = bool(session and face.session) and not same_session
     _check_labels(face.marker_names, face.neutral, positions, usable)
     seen = np.asarray(usable.any(axis=0))
-    if not same_session and not (performer and performer == face.performer):
-        _check_performer(face.neutral, offset, seen)
+    difference = _compare_proportions(face, offset, seen)
+    if difference and not same_session and not (performer and performer == face.performer):
+        raise InputError(
+            f"the take is of another performer: {difference}. Give takes of one performer; if it "
+            "is the same one, ingest every take with `usdface ingest --performer NAME`"
+        )
     is_long = np.ptp(frames) >= SHORTEST_COMPARED_SECONDS * rate
     offset_mm = float(np.sqrt((offset[seen] ** 2).sum(axis=1).mean()))
     if offset_mm < MIN_OFFSET_MM or not (is_long or other_session):
@@ -197,6 +207,7 @@ def compare_neutral(
         stated_frame,
         float(away_mm[row]),
         float(stated[0]) if np.isfinite(stated).any() else float("nan"),
+        difference,
         share,
     )
 
@@ -224,26 +235,30 @@ def _check_labels(
         )
 
 
-def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -> None:
-    """Refuse a face whose proportions differ from the performer's."""
+def _compare_proportions(face: PerformerFace, offset: FloatArray, seen: BoolArray) -> str:
+    """Return how a face's proportions differ from the performer's; empty if they do not.
+
+    Two neutral faces of one person differ by an expression of theirs, and by reapplied markers.
+    """
     if seen.sum() < _MIN_MARKERS:
-        return
-    other = neutral + offset
-    fit = measure_stretch(neutral[seen], other[seen])
+        return ""
+    moved = np.where(face.usable[..., None], face.frames - face.neutral, 0.0)[:, seen]
+    moved = moved.reshape(len(moved), -1)
+    covariance = moved.T @ moved / max(len(moved), 1)
+    covariance += _REAPPLIED_MM**2 / 3 * np.eye(len(covariance))
+    fit = measure_stretch(face.neutral[seen], (face.neutral + offset)[seen], covariance)
     strain = np.abs(np.log(np.maximum(fit.stretch, 1e-3)))
     beyond = (strain > MAX_STRETCH) & (strain > _CRITICAL_STRETCH_T * fit.error)
-    if not beyond.any() and fit.residual_mm <= MAX_REAPPLIED_MM:
-        return
-    worst = float(fit.stretch[int(np.where(beyond, strain, 0.0).argmax())])
-    difference = (
-        f"its face is {abs(worst - 1):.0%} {'larger' if worst > 1 else 'smaller'} in one direction"
-        if beyond.any()
-        else f"its markers are {fit.residual_mm:.1f} mm (root mean square) away at the same "
-        f"expression; reapplied markers are within {MAX_REAPPLIED_MM:g} mm"
-    )
-    raise InputError(
-        f"the take is of another performer: {difference}. Give takes of one performer; if it is "
-        "the same one, ingest every take with `usdface ingest --performer NAME`"
+    if beyond.any():
+        worst = float(fit.stretch[int(np.where(beyond, strain, 0.0).argmax())])
+        larger = "larger" if worst > 1 else "smaller"
+        return f"its face is {abs(worst - 1):.0%} {larger} in one direction"
+    reapplied_mm = _REAPPLIED_MM * fit.chi2**0.5
+    if reapplied_mm <= MAX_REAPPLIED_MM:
+        return ""
+    return (
+        f"its markers are {reapplied_mm:.1f} mm (root mean square) away at the same expression; "
+        f"reapplied markers are within {MAX_REAPPLIED_MM:g} mm"
     )
 
 

@@ -188,29 +188,32 @@ class CloudStretch:
     stretch: FloatArray
     """(3,): along the principal axes of the stretch; 1 where the faces are alike."""
     error: FloatArray
-    """(3,): standard error of each, from the residual."""
-    residual_mm: float
-    """Root mean square residual over the markers [mm]."""
+    """(3,): standard error of each."""
+    chi2: float
+    """Of the residual, per degree of freedom."""
 
 
-def measure_stretch(cloud: FloatArray, other: FloatArray) -> CloudStretch:
+def measure_stretch(cloud: FloatArray, other: FloatArray, covariance: FloatArray) -> CloudStretch:
     """Return the stretch of the affine map from one face's markers to another's.
 
-    Markers that were applied again move independently, and their stretch is within the standard
-    error. The skulls of two people differ in proportions.
+    Generalised least squares; the error grows with a chi2 per degree of freedom above 1.
 
     Parameters
     ----------
     cloud, other : (markers, 3) float arrays
         The same markers of two neutral faces [mm]; more than four, not in a plane.
+    covariance : (3 markers, 3 markers) float array
+        Of the differences between neutral faces of one person: expressions that an open jaw or a
+        smile leaves in them stretch a face as well, and markers that are applied again [mm^2].
     """
-    a, b = cloud - cloud.mean(axis=0), other - other.mean(axis=0)
-    linear, *_ = np.linalg.lstsq(a, b, rcond=None)
-    residual = b - a @ linear
-    freedom = max(3 * (len(a) - 4), 1)
-    sigma = float(np.sqrt((residual**2).sum() / freedom))
-    values, axes = np.linalg.eigh(linear @ linear.T)
-    stretch = np.sqrt(np.maximum(values, 0.0))
-    spread = np.linalg.inv(a.T @ a + 1e-9 * np.eye(3))
-    error = sigma * np.sqrt(np.einsum("ij,ik,jk->k", spread, axes, axes))
-    return CloudStretch(stretch, error, float(np.sqrt((residual**2).sum(axis=1).mean())))
+    affine = np.column_stack([cloud - cloud.mean(axis=0), np.ones(len(cloud))])
+    root = np.linalg.cholesky(covariance)
+    design = np.linalg.solve(root, np.kron(affine, np.eye(3)))
+    moved = np.linalg.solve(root, (other - other.mean(axis=0)).ravel())
+    spread = np.linalg.inv(design.T @ design)
+    fitted = spread @ (design.T @ moved)
+    chi2 = ((moved - design @ fitted) ** 2).sum() / max(design.shape[0] - design.shape[1], 1)
+    before, stretch, after = np.linalg.svd(fitted[:9].reshape(3, 3))
+    axes = np.einsum("ik,kj->kij", before, after).reshape(3, 9)
+    error = np.sqrt(np.einsum("ka,ab,kb->k", axes, spread[:9, :9], axes) * max(chi2, 1.0))
+    return CloudStretch(stretch, error, float(chi2))
