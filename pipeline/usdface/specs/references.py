@@ -196,7 +196,8 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     weights: ReadPath
     """Table of weights, in the formats of `ingest` (.csv, .json or .npy; a `take` column
     distinguishes takes, and rows without a frame number count from 1), or .usd with an animation,
-    at the takes' frames or at the pairs' time codes (--at pairs)."""
+    at the takes' frames or at the pairs' time codes (--at pairs); or other references, whose tuned
+    pairs are imported by take and frame."""
     shapes: ReadPath | None = None
     """Names of the columns of a .npy matrix of weights, as for `ingest`."""
     names: ReadPath | None = None

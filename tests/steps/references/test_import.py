@@ -137,3 +137,20 @@ def test_the_author_is_kept_with_the_pairs_of_an_import(tmp_path: Path) -> None:
     import_rows(path, keys_at(frames[3:6]), author="ben")
     import_rows(path, keys_at(frames[6:7]))
     assert read_references(path).authors == (*["anna"] * 3, *["ben"] * 3, *[""] * 6)
+
+
+def test_tuned_pairs_of_other_references_are_imported_by_take_and_frame(tmp_path: Path) -> None:
+    """Of a rig with other shapes, a selection has other frames at its time codes."""
+    path = asset(tmp_path)
+    frames = read_references(path).frames
+    import_rows(path, keys_at(frames[:3].tolist()))
+    (tmp_path / "new").mkdir()
+    old = small_references(tmp_path / "new", pairs=PAIRS, seed=1)
+    new = write(tmp_path / "new", replace(old, frames=13 * old.frames[::-1], rate=120.0))
+    given = ReferencesImportSpec(references=new, weights=path)
+    result = execute(given, overwrite=True)
+    assert result.figures["pairs"] == 3
+    after = read_references(new)
+    assert sorted(after.frames[after.tuned].tolist()) == sorted(frames[:3].tolist())
+    with pytest.raises(InputError, match="by take and frame; tune some, and leave --at out"):
+        execute(given.model_copy(update={"at": "pairs"}), overwrite=True)

@@ -1,5 +1,6 @@
 """Tuned pairs of a references asset: set on the tuning page, in a DCC, or imported."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -44,7 +45,9 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
     """Find the frames of tuned pairs; refuse those of other takes or rigs, or beyond --count."""
     layer = tuned_path(spec.out)
     marked = {each.pair: each for each in read_tuned_pairs(layer)}
-    old = _read_existing(spec.out)
+    old = None
+    with suppress(InputError):  # of a damaged asset, which is replaced
+        old = read_references(spec.out) if spec.out.is_file() else None
     keyed = {} if old is None else _keyed_pairs(spec.out, old, marked)
     driven = set() if old is None else {each.shape for each in old.combinations}
     together = marked | keyed
@@ -67,21 +70,15 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
         rig.check_has(
             [name for name in each.weights if name not in driven],
             source=f"{layer} pair {each.pair + 1}",
-            remedy="it was tuned for another rig: give that rig, or write to another --out",
+            remedy="it was tuned for another rig: give that rig, or select as before to another "
+            f"--out, and `usdface references import` its keys there: --weights {spec.out.name}, "
+            "and --names if shapes were renamed",
         )
     return [
         PlacedPair(each.pair, row, each, each.pair in keyed)
         for each, row in zip(tuned, rows, strict=True)
         if row is not None
     ]
-
-
-def _read_existing(out: Path) -> References | None:
-    """Read the asset that would be replaced; None if there is none, or it cannot be read."""
-    try:
-        return read_references(out) if out.is_file() else None
-    except InputError:
-        return None
 
 
 def _keyed_pairs(out: Path, old: References, marked: dict[int, TunedPair]) -> dict[int, TunedPair]:

@@ -40,7 +40,7 @@ _CHANCE_PROBABILITY = 0.01
 def run(spec: ReferencesImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_keyed_references(spec.references)
-    given = read_weight_table(
+    given = _pairs_of_references(spec) or read_weight_table(
         spec.weights,
         known=references.shape_names,
         unit=spec.weight_unit,
@@ -98,6 +98,23 @@ def run(spec: ReferencesImportSpec, *, provenance: Provenance, progress: Progres
             "unmatched": [frame for frame, _ in unmatched],
             "conflicts": conflicts,
         },
+    )
+
+
+def _pairs_of_references(spec: ReferencesImportSpec) -> WeightTable | None:
+    """Return the tuned pairs of other references, by take and frame; None for other files."""
+    if not tuned_path(spec.weights).is_file():
+        return None
+    other = read_keyed_references(spec.weights)
+    other = other.rows(other.tuned)
+    frames = tuple(other.frames.tolist())
+    if not frames or spec.at != "frames":
+        raise InputError(
+            f"{spec.weights}: these references have {pluralize(len(frames), 'tuned pair')}, which "
+            "are imported by take and frame; tune some, and leave --at out"
+        )
+    return WeightTable(
+        other.shape_names, frames, other.weights, keyed=frozenset(frames), takes=other.takes
     )
 
 
