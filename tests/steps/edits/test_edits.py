@@ -690,7 +690,7 @@ def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(
     markers = replace(take.markers, visible=visible, confidence=confidence)
     write_take(clean, replace(take, markers=markers), provenance=Provenance())
     given = {"references": shot / "hero.references.usda", "out": out}
-    with pytest.raises(InputError, match=r"no frame with all its markers was edited"):
+    with pytest.raises(InputError, match=r"missing a marker: 5 edited frames; choose other frames"):
         run(ReferencesFromEditsSpec(performances=(path,), **given))
     shutil.copy(path, shot / "other.usda")
     shutil.copy(edits_path(path), edits_path(shot / "other.usda"))
@@ -868,3 +868,30 @@ def test_a_rig_that_moved_since_is_named(shot: Shot) -> None:
     (shot / "hero.usdc").rename(shot / "elsewhere.usdc")
     with pytest.raises(InputError, match=r"hero\.usdc|rig's file still where it was"):
         run(BakeSpec(performance=shot / "shot.hero.usda", out=shot / "x.usdc"))
+
+
+def test_a_take_that_lacks_a_marker_of_the_references_asks_for_another_selection(
+    shot: Shot,
+) -> None:
+    """No frame of it has all markers, so that other frames would be refused as well."""
+    path, clean = shot / "shot.hero.usda", shot / "shot.clean.take.usda"
+    take = read_take(clean)
+    assert take.markers is not None
+    gone = [name not in take.markers.rigid for name in take.markers.names].index(True)
+    kept = np.arange(len(take.markers.names)) != gone
+    markers = replace(
+        take.markers,
+        names=tuple(np.array(take.markers.names)[kept].tolist()),
+        positions=take.markers.positions[:, kept],
+        visible=take.markers.visible[:, kept],
+        confidence=take.markers.confidence[:, kept],
+    )
+    write_take(clean, replace(take, markers=markers), provenance=Provenance())
+    edit(path, override=0.8, frames="100-102", fade=3)
+    given = {"references": shot / "hero.references.usda", "out": shot / "v2.references.usda"}
+    advice = f"has no {take.markers.names[gone]}: `usdface select` from it and their takes"
+    with pytest.raises(InputError, match=advice):
+        run(ReferencesFromEditsSpec(performances=(path,), **given))
+    late = str(unpaired(shot, 300))
+    with pytest.raises(InputError, match=advice):
+        run(ReferencesAddSpec(performance=path, frames=late, **given))

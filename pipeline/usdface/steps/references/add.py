@@ -13,6 +13,7 @@ from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
 from usdface.steps.references.from_edits import (
+    advise_markers,
     captured_markers,
     check_shapes,
     find_captured_take,
@@ -42,7 +43,7 @@ def run(spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress) 
     if not seen.any():
         raise InputError(
             f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and pairs "
-            "need all markers; choose other frames"
+            f"need all markers; {advise_markers(take, old)}"
         )
     if not seen.all():
         notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")

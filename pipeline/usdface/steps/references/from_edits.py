@@ -63,10 +63,7 @@ def run(spec: ReferencesFromEditsSpec, *, provenance: Provenance, progress: Prog
     references = _with_edited(old, edited, notes)
     added = len(references.frames) - len(old.frames)
     if not any(len(each.frames) for each in edited):
-        raise InputError(
-            f"{', '.join(map(str, spec.performances))}: no frame with all its markers was edited "
-            f"by more than {LEAST_CHANGE:g}; edit the performance first"
-        )
+        raise InputError(f"there is no frame to add; {'; '.join(notes)}")
     files = write_extended(spec, references, notes, provenance, part(progress, 0.8, 1.0))
     return StepResult(
         files,
@@ -111,7 +108,7 @@ def _edited_frames(
     curves = [edit.curve for edit in reader.edits.values()]
     rows = np.flatnonzero(full_strength_frames(curves, changes[:, columns].T))
     if not len(rows):
-        notes.append(f"{performance}: no frame was edited")
+        notes.append(f"{performance}: no frame was edited by more than {LEAST_CHANGE:g}")
         return _NO_FRAMES
     take = find_captured_take(performance, old, moved_take)
     frames = reader.take_frames_at(reader.frames[rows])
@@ -120,7 +117,7 @@ def _edited_frames(
     if not seen.all():
         notes.append(
             f"{performance}: left out, missing a marker: "
-            f"{pluralize(int((~seen).sum()), 'edited frame')}"
+            f"{pluralize(int((~seen).sum()), 'edited frame')}; {advise_markers(take, old)}"
         )
     if not len(rows):
         return _NO_FRAMES
@@ -129,6 +126,17 @@ def _edited_frames(
         notes.append(f"{performance}: used {len(chosen)} of {len(rows)} edited frames")
     weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
     return _EditedFrames(take.name, frames[chosen], captured[chosen], weights)
+
+
+def advise_markers(take: TakeReader, old: References) -> str:
+    """Return what to do about frames that lack markers: other frames, or another selection."""
+    absent = [name for name in old.marker_names if name not in take.marker_names]
+    if not absent:
+        return "choose other frames"
+    return (
+        f"{take.path.name} has no {first_few(absent)}: `usdface select` from it and their takes "
+        "leaves these markers out, and keeps tuned pairs"
+    )
 
 
 def check_shapes(reader: PerformanceReader, old: References, references: Path) -> None:
