@@ -187,7 +187,7 @@ def test_a_solve_onto_other_shapes_than_those_of_the_training_is_not_good() -> N
     verdict = judge_solve(replace(evidence(), basis=basis))
     assert verdict.level == "check"
     assert "changed since training: jawOpen, mouthClose and 1 more" in verdict.sentence
-    assert verdict.advice == "train and map again"
+    assert verdict.advice == "tune the pairs that show them again, then train and map again"
 
 
 def test_keys_decide_where_they_are_known() -> None:

@@ -95,7 +95,7 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
         notes.append(
             f"{rig.file}: {len(changed)} of the mapping's {len(mapping.shape_names)} shapes have "
             f"been sculpted or moved since training: {moved}; weights are predicted for the shapes "
-            "before the change, train again to follow them"
+            "before the change, as the pairs were keyed: tune those that show them, and train again"
         )
     ranges = rig.ranges_of(mapping.shape_names)
     other = np.flatnonzero(np.abs(ranges - mapping.ranges).max(axis=1) > 1e-6)

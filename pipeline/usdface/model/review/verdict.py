@@ -339,7 +339,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
     if proposals and basis is not None and (level == "bad" or evidence.error_mm is None):
         steps.append(f"tune the references ({basis.pairs - basis.tuned} are proposals)")
     if not steps and level != "bad" and _name_changed(evidence):
-        return "train and map again"
+        return "tune the pairs that show them again, then train and map again"
     if steps:
         return f"{' and '.join(steps)}, then train and map again"
     return "" if level == "good" else "look at the moments to review first"

@@ -294,8 +294,8 @@ def _offset_notes(references: References, mapping: TrainedMapping) -> list[str]:
     if not moved:
         return []
     return [
-        f"the keys tell that markers were applied again before {first_few(moved)}, relative to "
-        f"{references.neutral_take}: the offset is removed from the pairs"
+        f"by the keys, the markers of {first_few(moved)} are offset from {references.neutral_take},"
+        " as if applied again or by an expression held throughout: the offset is removed"
     ]
 
 
