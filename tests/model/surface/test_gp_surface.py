@@ -114,6 +114,22 @@ def test_a_jaw_that_few_markers_show_is_not_taken_for_their_noise(mouth: Mouth) 
     assert error < 0.1 * np.square(mouth.motion[:, lips]).mean()
 
 
+def test_lips_without_markers_part_with_nose_and_chin_and_are_less_certain(mouth: Mouth) -> None:
+    """The nearest markers along the surface are at the corners of the mouth and move with both."""
+    away = np.abs(mouth.points[mouth.chosen, 1] - mouth.points[mouth.upper[0], 1])
+    rows = np.flatnonzero(away > 14.0)
+    places = places_at_points(mouth.counts, mouth.indices, mouth.chosen[rows])
+    distances = surface_distances(mouth.points, mouth.counts, mouth.indices, places)
+    moved = mouth.markers(noise=0.1)[:, rows]
+    found = fit_gp_surface(distances, moved, GpOptions(sampler="shared")).deform(moved)
+    assert opening(mouth, found.mean) > 0.9 * opening(mouth, mouth.motion)
+    assert found.sd is not None
+    lips = np.concatenate([mouth.upper[5:14], mouth.lower[5:14]])
+    error = np.abs(found.mean - mouth.motion)[:, lips]
+    assert (error < 1.645 * found.sd[:, lips, None]).mean() > 0.9
+    assert found.sd[:, lips].mean() > 1.5 * found.sd.mean()
+
+
 def test_the_published_covariance_and_samples_are_options(mouth: Mouth) -> None:
     moved = mouth.markers(noise=0.5)
     found = fit(mouth, moved, sampler="shared", covariance="published", samples=20, folds=False)

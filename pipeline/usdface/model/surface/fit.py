@@ -164,9 +164,6 @@ def fitted_frames(moved: FloatArray) -> FloatArray:
 
 def find_surface_folds(distances: SurfaceDistances) -> Folds:
     """Find the folds of a mesh."""
-    markers = distances.marker_positions
-    return find_folds(
-        distances.geodesic_to_points,
-        distances.euclidean_to_points,
-        spread=float((markers - markers.mean(axis=0)).std()),
-    )
+    along = distances.geodesic_between
+    detours = (along - distances.euclidean_between) / np.maximum(along, 1e-6)
+    return find_folds(distances.geodesic_to_points, distances.euclidean_to_points, detours)

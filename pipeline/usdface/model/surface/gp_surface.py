@@ -113,7 +113,7 @@ class GpSurface(SurfaceModel):
     factors: SpreadFactors = field(repr=False)
     """Calibration of standard deviations."""
     added: Float32Array = field(repr=False)
-    """(points,): variance that the prior adds, as a share of v0."""
+    """(points,): variance that the prior and folds add, as a share of v0."""
     alone: BoolArray = field(repr=False)
     """(points,): those of parts without a marker."""
     typical: FloatArray = field(repr=False)
@@ -207,8 +207,11 @@ def fit_gp_surface(
     rng = np.random.default_rng(options.seed)
     cross = covariance.cross(distances.blended_to_points(chosen.blend))
     places = distances.scaled(distances.points)
+    of_folds = np.zeros(len(places), np.float32)
     if options.folds and chosen.blend > 0:
         folds = find_surface_folds(distances)
+        near = similarity(folds.away, chosen.length_scale, shape=options.covariance)
+        of_folds[folds.points] = 2.0 * folds.share * (1.0 - near)
         folds.apply(cross, covariance.matrix())
         folds.apply(places, distances.scaled(distances.marker_positions))
     theta, facts = _sample_fitted(rng, table, rows, options)
@@ -233,7 +236,7 @@ def fit_gp_surface(
         table=table,
         basis=surface_basis(chosen.spectrum, cross, places),
         factors=factors,
-        added=_prior_shares(distances, chosen, factors, theta, options),
+        added=of_folds + _prior_shares(distances, chosen, factors, theta, options),
         alone=distances.unreached.points,
         typical=typical,
         shared=theta[:, :, 0] if options.sampler == "shared" else None,

@@ -24,14 +24,22 @@ that no predicted variance is negative, and all points have the prior variance v
 
 **Folds**, such as lips and lids: the inside of a lip moves with the lip, but its covariance with
 the lip's markers falls with the distance along the surface, so that about half of the opening is
-lost. A point is in a fold if a marker is near by the straight line and far along the surface. With
-the share s(x) of the fold, it follows the markers of its own side::
+lost. A point x is across a fold from marker k in a share s_k(x), if k is far along the surface and
+by the straight line no farther than the nearest marker along it. With their largest, s(x), it
+follows the markers of its own side::
 
-    h(x) <- (1 - s(x)) h(x) + s(x) sum_i q_i(x) h(x_i),    q_i = d_i^-6 / sum_j d_j^-6
+    h(x) <- (1 - s(x)) h(x) + s(x) sum_i q_i(x) h(x_i)
+    q_i ~ d_i(x)^-6 sum_k s_k(x) (1 - e_ik / d_ik),    sum_i q_i = 1
 
-with d the distance along the surface and h any quantity in which the prediction is linear. With
-features as h the covariance remains positive semidefinite, and what they lose in length becomes
-independent variance. Predictions at markers do not change.
+with d the distance along the surface, e the straight one, and h any quantity in which the
+prediction is linear. The detour between markers tells their sides: from one at the nose to one at
+the corner of the mouth there is none, to one on the chin there is. With features as h the
+covariance remains positive semidefinite. Predictions at markers do not change.
+
+Two points at a distance d differ with a variance of twice the semivariogram (Matheron, 1963), ``2
+v0 (1 - c(d / l))``. That of the mean distance to the markers is added, as a share of v0::
+
+    added(x) = 2 s(x) (1 - c(d(x) / l)),    d(x) = sum_i q_i(x) d_i(x)
 """
 
 from dataclasses import dataclass, replace
@@ -48,12 +56,9 @@ from usdface.core.arrays import (
     smoothstep,
 )
 
-LEAST_DETOUR, FULL_DETOUR = 2.0, 3.0
+LEAST_DETOUR, FULL_DETOUR = 1.5, 3.0
 """Distance along the surface over the straight line: s is 0 below the first and 1 above the second.
 The ratio is 1.0 to 1.4 on a cheek and 3 to 8 across closed lips."""
-
-NEAR_MARKER_SHARE = 0.3
-"""Straight distance over the markers' spread at which s begins to fall, to 0 at twice that."""
 
 _WEIGHT_POWER = 6
 """Exponent in q. 4 preserves 74 to 85 % of the lips' opening on the fixture faces, 6 82 to 93 %;
@@ -70,6 +75,8 @@ class Folds:
     """(n,): s [0-1]"""
     weights: Float32Array
     """(n, markers): q, sum 1."""
+    away: Float32Array
+    """(n,): mean distance to those markers along the surface [mm]."""
 
     def apply(self, at_points: RealArray, at_markers: RealArray) -> None:
         """Replace h at points in folds, in place.
@@ -86,31 +93,33 @@ class Folds:
         at_points[self.points] = before + self.share[:, None] * (of_side - before)
 
 
-def find_folds(geodesic: RealArray, euclidean: RealArray, *, spread: float) -> Folds:
+def find_folds(geodesic: RealArray, euclidean: RealArray, detours: FloatArray) -> Folds:
     """Find the points in folds.
 
     Parameters
     ----------
     geodesic, euclidean : (markers, points) float array
         Distances along the surface and by the straight line [mm].
-    spread : float
-        Root mean square of the markers' coordinates around their centre [mm].
+    detours : (markers, markers) float array
+        ``1 - e / d`` [0-1]
     """
-    points, shares, weights = [], [], []
-    near = NEAR_MARKER_SHARE * spread
+    points, shares, weights, away = [], [], [], []
     for part in frame_blocks(geodesic.shape[1], frames=_BLOCK_POINTS):
         along = np.asarray(geodesic[:, part], np.float64)
         straight = np.asarray(euclidean[:, part], np.float64)
-        detour = along / np.maximum(straight, 1e-6)
-        fold = smoothstep(detour, LEAST_DETOUR, FULL_DETOUR)
-        share = (fold * (1 - smoothstep(straight, near, 2 * near))).max(axis=0)
+        fold = smoothstep(along / np.maximum(straight, 1e-6), LEAST_DETOUR, FULL_DETOUR)
+        fold *= smoothstep(2 - straight / np.maximum(along.min(axis=0), 1e-6))
+        share = fold.max(axis=0)
         inside = np.flatnonzero(share > 0)
         distance = np.maximum(along[:, inside], 1e-6)
         q = (distance.min(axis=0) / distance) ** _WEIGHT_POWER
+        q *= detours @ fold[:, inside] + 1e-6  # the nearest, if no marker has a detour
+        q /= q.sum(axis=0)
         points.append(inside + part.start)
         shares.append(share[inside].astype(np.float32))
-        weights.append((q / q.sum(axis=0)).T.astype(np.float32))
-    return Folds(np.concatenate(points), np.concatenate(shares), np.concatenate(weights))
+        weights.append(q.T.astype(np.float32))
+        away.append((q * distance).sum(axis=0).astype(np.float32))
+    return Folds(*map(np.concatenate, (points, shares, weights, away)))
 
 
 STIFFNESS_SHARE = 0.1
