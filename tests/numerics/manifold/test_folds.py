@@ -20,7 +20,7 @@ def hairpin() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_point_deep_in_the_fold_follows_its_own_lip() -> None:
-    folds = find_folds(*hairpin(), DETOURS)
+    folds = find_folds(*hairpin(), detours=DETOURS, spread=40.0)
     tip = np.flatnonzero(folds.points == 30)[0]
     assert folds.share[tip] > 0.95
     assert folds.weights[tip, :2].sum() > 0.999
@@ -34,29 +34,34 @@ def test_a_point_deep_in_the_fold_follows_its_own_lip() -> None:
 def test_markers_keep_what_they_say() -> None:
     values = np.random.default_rng(0).standard_normal((62, 3))
     before = values.copy()
-    find_folds(*hairpin(), DETOURS).apply(values, values[MARKERS])
+    find_folds(*hairpin(), detours=DETOURS, spread=40.0).apply(values, values[MARKERS])
     assert np.allclose(values[MARKERS], before[MARKERS], atol=1e-6)
 
 
 def test_a_surface_without_folds_is_left_alone() -> None:
     _, straight = hairpin()
-    folds = find_folds(1.4 * straight, straight, DETOURS)
+    folds = find_folds(1.4 * straight, straight, detours=DETOURS, spread=40.0)
     assert len(folds.points) == 0
     values = np.ones((62, 2))
     folds.apply(values, np.zeros((4, 2)))
     assert (values == 1).all()
 
 
+def test_what_is_far_through_the_air_is_no_fold() -> None:
+    along, straight = hairpin()
+    assert not len(find_folds(10 * along, straight + 50.0, detours=DETOURS, spread=40.0).points)
+
+
 def test_what_is_farther_than_twice_the_nearest_marker_of_its_side_is_no_fold() -> None:
     along, straight = hairpin()
     far = np.maximum(straight, 2 * along.min(axis=0))
-    assert not len(find_folds(10 * along, 10 * far, DETOURS).points)
+    assert not len(find_folds(10 * along, 10 * far, detours=DETOURS, spread=40.0).points)
 
 
 def test_folds_do_not_depend_on_the_unit_of_length() -> None:
     along, straight = hairpin()
-    ours = find_folds(along, straight, DETOURS)
-    scaled = find_folds(10 * along, 10 * straight, DETOURS)
+    ours = find_folds(along, straight, detours=DETOURS, spread=40.0)
+    scaled = find_folds(10 * along, 10 * straight, detours=DETOURS, spread=400.0)
     assert np.allclose(ours.share, scaled.share)
     assert np.allclose(ours.weights, scaled.weights, atol=1e-6)
 
@@ -65,9 +70,9 @@ def test_a_lip_follows_the_chin_and_not_the_nearer_corner_of_the_mouth() -> None
     """Markers at the nose, the corner and the chin; a point on the lower lip."""
     along, straight = np.array([[60.0], [30.0], [35.0]]), np.array([[15.0], [29.0], [34.0]])
     detours = 1 - np.array([[1.0, 1.0, 0.6], [1.0, 1.0, 1.0], [0.6, 1.0, 1.0]])
-    folds = find_folds(along, straight, detours)
+    folds = find_folds(along, straight, detours=detours, spread=60.0)
     assert folds.weights[0].argmax() == 2
     assert folds.weights[0, 2] > 0.95
     assert folds.away[0] < 36.0
-    without = find_folds(along, straight, np.zeros((3, 3)))
+    without = find_folds(along, straight, detours=np.zeros((3, 3)), spread=60.0)
     assert without.weights[0].argmax() == 1

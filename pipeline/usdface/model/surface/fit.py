@@ -102,15 +102,7 @@ class SurfaceModel(ABC):
     def stream(
         self, displacements: FloatArray, confidence: RealArray | None = None
     ) -> Iterator[SurfaceMotion]:
-        """Predict part by part, in bounded memory; the result does not depend on the parts.
-
-        Parameters
-        ----------
-        displacements : (frames, markers, 3) float array
-            [mm]
-        confidence : (frames, markers) float array, optional
-            See `deform`.
-        """
+        """Predict part by part, in bounded memory; what `deform` returns, whatever the parts."""
         moved = check_displacements(displacements, self.marker_count)
         if confidence is None:
             confidence = np.ones(moved.shape[:2])
@@ -164,6 +156,10 @@ def fitted_frames(moved: FloatArray) -> FloatArray:
 
 def find_surface_folds(distances: SurfaceDistances) -> Folds:
     """Find the folds of a mesh."""
-    along = distances.geodesic_between
-    detours = (along - distances.euclidean_between) / np.maximum(along, 1e-6)
-    return find_folds(distances.geodesic_to_points, distances.euclidean_to_points, detours)
+    markers, along = distances.marker_positions, distances.geodesic_between
+    return find_folds(
+        distances.geodesic_to_points,
+        distances.euclidean_to_points,
+        detours=(along - distances.euclidean_between) / np.maximum(along, 1e-6),
+        spread=float((markers - markers.mean(axis=0)).std()),
+    )

@@ -24,9 +24,9 @@ that no predicted variance is negative, and all points have the prior variance v
 
 **Folds**, such as lips and lids: the inside of a lip moves with the lip, but its covariance with
 the lip's markers falls with the distance along the surface, so that about half of the opening is
-lost. A point x is across a fold from marker k in a share s_k(x), if k is far along the surface and
-by the straight line no farther than the nearest marker along it. With their largest, s(x), it
-follows the markers of its own side::
+lost. A point x is across a fold from marker k in a share s_k(x), if k is far along the surface, but
+near by the straight line, and no farther than the nearest marker along the surface. With their
+largest, s(x), it follows the markers of its own side::
 
     h(x) <- (1 - s(x)) h(x) + s(x) sum_i q_i(x) h(x_i)
     q_i ~ d_i(x)^-6 sum_k s_k(x) (1 - e_ik / d_ik),    sum_i q_i = 1
@@ -60,6 +60,9 @@ LEAST_DETOUR, FULL_DETOUR = 1.5, 3.0
 """Distance along the surface over the straight line: s is 0 below the first and 1 above the second.
 The ratio is 1.0 to 1.4 on a cheek and 3 to 8 across closed lips."""
 
+NEAR_MARKER_SHARE = 0.3
+"""Straight distance over the markers' spread at which s begins to fall, to 0 at twice that."""
+
 _WEIGHT_POWER = 6
 """Exponent in q. 4 preserves 74 to 85 % of the lips' opening on the fixture faces, 6 82 to 93 %;
 from 8 on errors increase, since the nearest marker alone counts."""
@@ -79,21 +82,15 @@ class Folds:
     """(n,): mean distance to those markers along the surface [mm]."""
 
     def apply(self, at_points: RealArray, at_markers: RealArray) -> None:
-        """Replace h at points in folds, in place.
-
-        Parameters
-        ----------
-        at_points : (all points, k) float array
-            h; changed.
-        at_markers : (markers, k) float array
-            h at the markers.
-        """
+        """Change h at all points (points, k) in place, by that at the markers (markers, k)."""
         of_side = self.weights @ at_markers.astype(np.float32)
         before = at_points[self.points]
         at_points[self.points] = before + self.share[:, None] * (of_side - before)
 
 
-def find_folds(geodesic: RealArray, euclidean: RealArray, detours: FloatArray) -> Folds:
+def find_folds(
+    geodesic: RealArray, euclidean: RealArray, *, detours: FloatArray, spread: float
+) -> Folds:
     """Find the points in folds.
 
     Parameters
@@ -102,13 +99,16 @@ def find_folds(geodesic: RealArray, euclidean: RealArray, detours: FloatArray) -
         Distances along the surface and by the straight line [mm].
     detours : (markers, markers) float array
         ``1 - e / d`` [0-1]
+    spread : float
+        Root mean square of the markers' coordinates around their centre [mm].
     """
     points, shares, weights, away = [], [], [], []
     for part in frame_blocks(geodesic.shape[1], frames=_BLOCK_POINTS):
         along = np.asarray(geodesic[:, part], np.float64)
         straight = np.asarray(euclidean[:, part], np.float64)
         fold = smoothstep(along / np.maximum(straight, 1e-6), LEAST_DETOUR, FULL_DETOUR)
-        fold *= smoothstep(2 - straight / np.maximum(along.min(axis=0), 1e-6))
+        near = np.clip(along.min(axis=0), 1e-6, NEAR_MARKER_SHARE * spread)
+        fold *= smoothstep(2 - straight / near)
         share = fold.max(axis=0)
         inside = np.flatnonzero(share > 0)
         distance = np.maximum(along[:, inside], 1e-6)
@@ -150,15 +150,7 @@ def nearest_stiffness(between: FloatArray) -> FloatArray:
 
 
 def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> DistanceMultiquadric:
-    """Fit the network that interpolates the markers.
-
-    Parameters
-    ----------
-    between : (markers, markers) float array
-        [mm]
-    stiffness : (markers,) float array
-        s_i [mm], by default of `nearest_stiffness`.
-    """
+    """Fit the network that interpolates the markers, with `stiffness` s_i (markers,) [mm]."""
     left, singular, right = np.linalg.svd(_values(between, stiffness))
     if singular[-1] < _LEAST_CONDITION * singular[0]:
         others = np.where(np.eye(len(between), dtype=np.bool_), np.inf, between)
