@@ -48,6 +48,9 @@ class Prediction:
     where no marker of the region is visible."""
     regions: tuple[str, ...]
     """Regions of the face, the whole face first."""
+    residuals_mm: Float32Array
+    """(frames, markers, 3): residual, the displacement of a marker minus the forward model's; 0
+    where it is not visible [mm]."""
     few_markers: BoolArray
     """(frames,): True where fewer than `head_space.MINIMUM_SHARE` of the mapping's markers are
     visible: too few for a prediction."""
@@ -115,18 +118,21 @@ class WeightPredictor:
         frames, regions = len(positions), len(self._regions)
         weights = np.empty((frames, len(mapping.shape_names)))
         residual_mm, uncertainty, coverage = (np.empty((frames, regions)) for _ in range(3))
+        residual = np.empty((frames, len(mapping.marker_names), 3), dtype=np.float32)
         for block in frame_blocks(frames, frames=_BLOCK_FRAMES):
             block_confidence = None if confidence is None else confidence[block]
             coordinates = marker_coordinates(self._motion, positions[block], visible=seen[block])
             displacements = self._displacements(positions[block], seen[block], coordinates)
-            columns, uncertainty[block], residual = self._solve(
+            columns, uncertainty[block], residual[block] = self._solve(
                 coordinates, displacements, seen[block], block_confidence
             )
             weights[block] = self._sides.join(columns)
-            residual_mm[block] = self._excess_residual(residual, seen[block])
+            residual_mm[block] = self._excess_residual(residual[block], seen[block])
             coverage[block] = self._coverage.measure(displacements)
         few_markers = seen.sum(axis=1) < MINIMUM_SHARE * seen.shape[1]
-        return Prediction(weights, uncertainty, coverage, residual_mm, self._regions, few_markers)
+        return Prediction(
+            weights, uncertainty, coverage, residual_mm, self._regions, residual, few_markers
+        )
 
     def _displacements(
         self,

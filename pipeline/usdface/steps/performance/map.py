@@ -3,14 +3,14 @@
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import tee
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray
+from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.processes import usable_cores
@@ -107,6 +107,29 @@ PART_BYTES = 1 << 27
 
 _LISTED_FRAMES = 1000
 
+_CONSTANT_MM, _CONSTANT_SHARE = 0.3, 0.5
+"""Root mean square over markers of the mean residual of a take, and its share of the whole
+residual, above which it is noted: twice the noise of a cleaned marker, and half."""
+
+
+@dataclass
+class _Residuals:
+    """Sums of the written frames' residuals."""
+
+    frames: int = 0
+    total: FloatArray | float = 0.0
+    """Sum over frames of each marker's residual vector."""
+    squares: float = 0.0
+    few_markers: list[BoolArray] = field(default_factory=list)
+    """Frames with few markers, one array per block."""
+
+    def add(self, solved: Prediction, rows: slice) -> None:
+        residuals = solved.residuals_mm[rows].astype(np.float64)
+        self.frames += len(residuals)
+        self.total = self.total + residuals.sum(axis=0)
+        self.squares += float((residuals**2).sum())
+        self.few_markers.append(solved.few_markers[rows])
+
 
 def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Map every frame of a take, block by block, and write the performance."""
@@ -131,7 +154,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
     margin = temporal.margin_at(float(take.rate))
     blocks = list(_blocks(take, first, last))
     windows = [_window(take, block, margin) for block in blocks]
-    few_markers: list[BoolArray] = []
+    residuals = _Residuals()
     header = replace(
         make_header(
             rig,
@@ -169,12 +192,14 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
             )
             figures = SolveFigures(solved.uncertainty, solved.coverage, solved.residual_mm)
             writer.append(weights[rows], figures.rows(rows))
-            few_markers.append(solved.few_markers[rows])
+            residuals.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
         write_head_layer(spec.out, header, rig, driven.transforms, provenance=provenance)
     notes += [*driven.notes, *_marker_notes(space), *space.neutral.notes(take.name)]
-    notes += _few_marker_notes(first, np.concatenate(few_markers))
+    if not np.ndim(space.pair_offset):  # a take with two pairs or more is aligned by them
+        notes += _constant_residual_notes(residuals)
+    notes += _few_marker_notes(first, np.concatenate(residuals.few_markers))
     notes += performance_notes(spec.out)
     return _report(spec, notes, space.neutral.figures())
 
@@ -268,6 +293,20 @@ def _marker_notes(space: HeadSpace) -> list[str]:
     if space.pose_errors is not None and space.pose_errors.size_mm:
         notes.append(pose_error_note("the take", space.pose_errors.size_mm))
     return notes
+
+
+def _constant_residual_notes(residuals: _Residuals) -> list[str]:
+    """Return a note if most of the residual is the same in every frame."""
+    mean = np.asarray(residuals.total) / max(residuals.frames, 1)
+    constant_mm = float(np.sqrt((mean**2).sum(axis=-1).mean()))
+    share = residuals.frames * float((mean**2).sum()) / max(residuals.squares, 1e-12)
+    if constant_mm <= _CONSTANT_MM or share <= _CONSTANT_SHARE:
+        return []
+    return [
+        f"{share:.0%} of the residual is the same in every frame, {constant_mm:.2f} mm: this take "
+        "differs as a whole from those of the references; key two or more of its frames, which "
+        "align it, and add them to the references"
+    ]
 
 
 def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
