@@ -230,8 +230,9 @@ def _scores(face: Face, places: np.ndarray, found: list[np.ndarray], sd: np.ndar
             out[:-3, column] = np.sqrt(errors)
             out[-2, column] = within[:, region].mean()
             out[-1, column] = within[large_frames][:, region].mean()
+    upper, lower = used & (face.lip > 0), used & (face.lip < 0)
     gaps = [
-        each[:, face.lip > 0].mean(axis=1) - each[:, face.lip < 0].mean(axis=1)
+        each[:, upper].mean(axis=1) - each[:, lower].mean(axis=1)
         for each in (face.motion, found[0])
     ]
     out[-3, 0] = (gaps[0] * gaps[1]).sum() / (gaps[0] ** 2).sum()

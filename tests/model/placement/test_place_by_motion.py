@@ -8,7 +8,7 @@ from tests.model.synthetic import skin_samples
 from tests.numerics.small_face import MOUTH, small_actor, small_face
 from tests.remembered import coarse_face_skin
 from usdface.model.placement.marker_cloud import marker_cloud
-from usdface.model.placement.place import place_markers
+from usdface.model.placement.place import place_markers, pose_errors_at
 from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.skin_placement import explained_share, solve_weights_at
 from usdface.numerics.registration.virtual_markers import character_motion, marker_deltas
@@ -67,6 +67,19 @@ def test_a_head_band_that_slips_does_not_move_the_markers(face, skin, actor, pla
     assert np.median(errors(face, actor, place(skin, actor.neutral, slipped))) < 1.2 * np.median(
         errors(face, actor, placed)
     )
+
+
+def test_right_places_are_more_probable_than_others_of_a_head_band_that_slips(skin, actor, placed):
+    rng = np.random.default_rng(2)
+    slipped = actor.positions + rng.normal(0, 5, (len(actor.positions), 1, 3))
+    cloud = marker_cloud(tuple(map(str, range(len(actor.neutral)))), actor.neutral, slipped)
+    samples = skin_samples(skin, placed.virtual)
+    lower = skin.positions[samples] - [0, 15, 0]
+    _, others = KDTree(skin.positions).query(lower)
+    right, wrong = (
+        pose_errors_at(cloud, skin, placed.virtual, each).evidence for each in (samples, others)
+    )
+    assert right > wrong + 0.1
 
 
 def test_weights_are_followed_from_samples_nearby(skin, actor, placed):

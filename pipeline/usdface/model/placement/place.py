@@ -20,12 +20,11 @@ from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, KnownPlace
 from usdface.numerics.registration.virtual_markers import (
-    LARGEST_NOISE_SCALE,
     VirtualMarkers,
-    certain_errors,
     find_pose_errors,
 )
 from usdface.numerics.rigid.pose_error import PoseErrors
+from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 
 FEWEST_PINS = 3
 """Fewest given places that determine an alignment."""
@@ -43,12 +42,8 @@ the two sides of a symmetric face."""
 
 
 _POSE_ROUNDS = 3
-"""Largest number of alternations of placing the markers and removing errors of the takes' poses, as
-of a head band that slips. Residuals of markers that were misplaced still fall in the third."""
-
-_FALLING_SHARE = 0.9
-"""Share of the residuals' variance to which a new placement without the errors lowers it: where it
-does not, what the placement did not explain had been taken for an error."""
+"""Placements of motion without errors of the takes' poses, as of a head band that slips: first
+without any rigid motion, then without the errors that the more probable placement tells."""
 
 
 @dataclass(frozen=True)
@@ -93,36 +88,33 @@ def place_markers(
     """
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     placement, samples = _place(cloud, skin, shapes, limits, pinned or {})
-    errors = _pose_errors(cloud, skin, placement.virtual, samples)
+    errors = pose_errors_at(cloud, skin, placement.virtual, samples)
+    corrected = _without_rigid_motion(cloud)
     for _ in range(_POSE_ROUNDS):
         if errors is None or not errors.possible_mm:
             break
-        if not errors.size_mm and errors.noise_scale < LARGEST_NOISE_SCALE:
-            break
-        corrected = _without(replace(errors, size_mm=errors.possible_mm), cloud)
         other, samples = _place(corrected, skin, shapes, limits, pinned or {})
-        found = _pose_errors(cloud, skin, other.virtual, samples)
-        if found is None or found.noise_scale > _FALLING_SHARE * errors.noise_scale:
-            break
-        placement, errors = other, found
+        found = pose_errors_at(cloud, skin, other.virtual, samples)
+        if found is not None and found.evidence > errors.evidence:
+            gain = max(placement.overturned_gain, other.overturned_gain)
+            placement, errors = replace(other, overturned_gain=gain), found
+        corrected = without_errors(replace(errors, size_mm=errors.possible_mm), cloud)
     return placement
 
 
-def without_pose_errors(
-    cloud: MarkerCloud, skin: FaceSkin, virtual: VirtualMarkers, samples: IntArray
-) -> MarkerCloud:
-    """Return a cloud without errors of the takes' poses; the same if none are certain.
-
-    Parameters
-    ----------
-    samples : (markers,) int array
-        Samples of the skin at which the markers are.
-    """
-    errors = _pose_errors(cloud, skin, virtual, samples)
-    return cloud if errors is None else _without(certain_errors(errors), cloud)
+def _without_rigid_motion(cloud: MarkerCloud) -> MarkerCloud:
+    """Return a cloud whose moving markers, taken together, are at rest in every frame."""
+    if cloud.motion is None:
+        return cloud
+    positions = cloud.neutral + cloud.motion
+    moving = np.broadcast_to(~cloud.still, positions.shape[:2])
+    rigid = align_rigid_robust(positions, cloud.neutral, visible=moving)
+    motion = remove_motion(positions, rigid) - cloud.neutral
+    return replace(cloud, motion=np.where(moving[:, :, None], motion, cloud.motion))
 
 
-def _without(errors: PoseErrors, cloud: MarkerCloud) -> MarkerCloud:
+def without_errors(errors: PoseErrors, cloud: MarkerCloud) -> MarkerCloud:
+    """Return a cloud whose motion has no errors of poses."""
     if cloud.motion is None:
         return cloud
     positions = cloud.neutral + cloud.motion
@@ -130,10 +122,13 @@ def _without(errors: PoseErrors, cloud: MarkerCloud) -> MarkerCloud:
     return replace(cloud, motion=corrected - cloud.neutral)
 
 
-def _pose_errors(
+def pose_errors_at(
     cloud: MarkerCloud, skin: FaceSkin, virtual: VirtualMarkers, samples: IntArray
 ) -> PoseErrors | None:
-    """Return the errors of the poses if the markers are at these samples; None without motion."""
+    """Return the errors of the takes' poses if the markers are at `samples` (markers,) of the skin.
+
+    None without motion.
+    """
     if cloud.motion is None:
         return None
     positions = cloud.neutral + cloud.motion

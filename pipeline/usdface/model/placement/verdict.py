@@ -10,7 +10,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few, pluralize
 from usdface.model.placement.known_places import places_by_labels
 from usdface.model.placement.marker_cloud import MarkerCloud
-from usdface.model.placement.place import FEWEST_PINS, without_pose_errors
+from usdface.model.placement.place import FEWEST_PINS, pose_errors_at, without_errors
 from usdface.model.placement.region_shapes import words_on_missing_shapes
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
@@ -20,7 +20,11 @@ from usdface.numerics.registration.skin_placement import (
     explained_share,
     solve_weights_at,
 )
-from usdface.numerics.registration.virtual_markers import VirtualMarkers
+from usdface.numerics.registration.virtual_markers import (
+    LARGEST_NOISE_SCALE,
+    VirtualMarkers,
+    certain_errors,
+)
 
 _FAR_SPREADS = 3.0
 """Distance from a marker's landmark, in standard deviations, from which it is reported: 0.3 % of
@@ -120,8 +124,11 @@ def judge_placement(
     roll = _roll_degrees(replace(cloud, neutral=local))
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
     reasons.append(_on_neck(cloud.labels, local, landmarks))
-    explained = float("nan")
-    cloud = without_pose_errors(cloud, skin, virtual, samples)
+    explained, is_departing = float("nan"), False
+    errors = pose_errors_at(cloud, skin, virtual, samples)
+    if errors is not None:
+        cloud = without_errors(certain_errors(errors), cloud)
+        is_departing = errors.noise_scale >= LARGEST_NOISE_SCALE
     if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
         weights = solve_weights_at(skin, samples, moved, ranges)
@@ -138,7 +145,7 @@ def judge_placement(
         )
         reasons.append(("check", missing) if missing else _FINE)
     if not by_labels and not placed:
-        reasons.append(_by_motion(len(known), explained))
+        reasons.append(_by_motion(len(known), explained, is_departing=is_departing))
     found = [each for each in reasons if each[0] != "good"]
     level = max((each[0] for each in found), key=list(_OPENINGS).index, default="good")
     found.sort(key=lambda each: -list(_OPENINGS).index(each[0]))
@@ -191,15 +198,16 @@ _Reason = tuple[str, str]
 _FINE: _Reason = ("good", "")
 
 
-def _by_motion(known: int, explained: float) -> _Reason:
-    """Return a check for a placement by motion without labels, or with little explained motion."""
+def _by_motion(known: int, explained: float, *, is_departing: bool) -> _Reason:
+    """Return a check for a placement by motion without labels, or with motion unlike the rig's."""
     weak = not explained >= _LEAST_EXPLAINED
     if known < FEWEST_PINS:
         alone = "placed by motion alone, as labels and shapes name too few landmarks"
-        if weak and not np.isnan(explained):
+        if (weak and not np.isnan(explained)) or is_departing:
             alone += (
-                f", and shapes explain {explained:.0%} of it: all markers may be far off; give "
-                "three or more their places with --landmarks"
+                f", and shapes explain {explained:.0%} of it"
+                f"{', but move otherwise at these places' * (is_departing and not weak)}: all "
+                "markers may be far off; give three or more their places with --landmarks"
             )
         return "check", alone
     if weak:

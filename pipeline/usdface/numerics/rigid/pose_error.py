@@ -8,12 +8,14 @@ all markers as one body, expressions do not. The displacements of the markers fr
 - z ~ N(0, 1): expressions. ``B'B`` is the second moment of the motion by the rig's shapes, for
   weights as in the references plus uniform ones, which references need not show;
 - p = (r, s) ~ N(m, S): rotation [rad] and translation [mm] about the centre c of the neutral n;
-- e_k ~ N(0, nu_k): the performer's departure from the rig, and noise. Rigid markers tell nothing of
-  p, as the stabilisation has brought them to rest.
+- e_k ~ N(0, nu_k): the performer's departure from the rig, which grows with the motion, and noise,
+  with Huber's weights beyond `_HUBER_THRESHOLD`. nu is larger in frames whose chi2 exceeds
+  `_USUAL_CHI2`. Rigid markers tell nothing of p, as the stabilisation has brought them to rest.
 
 m and S maximise the likelihood over a take. The posterior mean of p is subtracted, unless S is
 small, or not much larger than the posterior covariance: a constant error alone is left to
-`take_neutral`.
+`take_neutral`. The markers' mean residual, weighted by 1 / nu, is subtracted before: that of frames
+near rest is of markers that were reapplied, others have that of expressions.
 """
 
 from dataclasses import dataclass
@@ -41,6 +43,9 @@ _SHAPE_DEPARTURE = 0.15
 """The same of what all markers have in common: a performer's shapes have other directions."""
 _NOISE_MM = 0.15
 """Standard deviation of a coordinate of a marker at rest."""
+_HUBER_THRESHOLD = 2.5
+"""Distance of a marker from where it is expected, in standard deviations of a coordinate, beyond
+which it counts less: a marker on a lid that the rig's placement missed moves by centimetres."""
 _COMPONENT_COUNT = 40
 """Largest number of components of the expressions."""
 _NOISE_ROUNDS = 2
@@ -104,8 +109,10 @@ class ExpressionMotion:
         count, free = len(self.components), 3 * seen.sum(axis=1)
         flat, displaced = both.reshape(len(both), -1), moved.reshape(len(moved), -1)
         variance = np.broadcast_to(self.motion2, seen.shape)
+        away = np.zeros(seen.shape)
         for _ in range(_NOISE_ROUNDS):
             precision = seen / (_NOISE_MM**2 + _DEPARTURE_SHARE**2 * variance)
+            precision /= np.maximum(np.sqrt(precision) * away / _HUBER_THRESHOLD, 1)
             weight = np.repeat(precision, 3, axis=1)
             normal = (flat * weight[:, None]) @ flat.T
             right = (weight * displaced) @ flat.T
@@ -119,10 +126,17 @@ class ExpressionMotion:
             p = np.linalg.solve(information + np.diag(1 / _START), score[:, :, None])
             z = solved[:, :, 6:] - solved[:, :, :6] @ p
             variance = (np.tensordot(z[:, :, 0], self.components, 1) ** 2).mean(axis=2)
-        fitted = np.concatenate([z, p], axis=1)[:, :, 0]
-        chi2 = (weight * displaced**2 - fitted @ flat * weight * displaced).sum(axis=1)
-        residual = (displaced - fitted @ flat).reshape(moved.shape) * seen[:, :, None]
-        return information, score, chi2 / np.maximum(free - 6, 1), residual
+            residual = displaced - np.concatenate([z, p], axis=1)[:, :, 0] @ flat
+            away = np.sqrt((residual.reshape(moved.shape) ** 2).sum(axis=2))
+        chi2 = (weight * displaced * residual).sum(axis=1) / np.maximum(free - 6, 1)
+        weighted = residual.reshape(moved.shape) * precision[:, :, None]
+        # log det of B' B + P' S P + nu, by the matrix determinant lemma.
+        spread = (
+            np.linalg.slogdet(inner)[1] + np.linalg.slogdet(information + np.diag(1 / _START))[1]
+        )
+        spread -= 3 * np.log(np.where(seen, precision, 1.0)).sum(axis=1)
+        evidence = -0.5 * (chi2 + spread / np.maximum(free - 6, 1))
+        return information, score, chi2, weighted, precision, evidence
 
     def find_errors(self, positions: RealArray, visible: BoolArray) -> "PoseErrors":
         """Return the distribution of the errors of a take's poses.
@@ -135,18 +149,22 @@ class ExpressionMotion:
         """
         rows = sample_frames(len(positions), _SAMPLED_FRAMES)
         positions, visible = positions[rows], visible[rows]
-        offset, times = np.zeros_like(self.neutral), np.maximum(visible.sum(axis=0), 1)[:, None]
+        offset = np.zeros_like(self.neutral)
         for _ in range(_OFFSET_ROUNDS):
             found = self.likelihood(positions - offset, visible)
-            offset += found.residual.sum(axis=0) / times
+            precision = np.maximum(found.precision.sum(axis=0), 1e-9)[:, None]
+            offset += found.weighted_residual.sum(axis=0) / precision
         found = self.likelihood(positions - offset, visible)
-        scale = max(float(found.chi2.mean()) / _USUAL_CHI2, 1.0)
-        mean, covariance, posterior = _maximise(found.information / scale, found.score / scale)
+        scale = found.noise_scale
+        mean, covariance, posterior = _maximise(
+            found.information / scale[:, None, None], found.score / scale[:, None]
+        )
         possible, unknown = self._size_mm(covariance), self._size_mm(posterior)
         if len(positions) < _FEWEST_FRAMES or possible < _LEAST_MM:
             possible = 0.0
         size = possible if possible >= _LEAST_RATIO * unknown else 0.0
-        return PoseErrors(self, offset, scale, mean, covariance, possible, size)
+        noise, evidence = float(scale.mean()), float(found.evidence.mean())
+        return PoseErrors(self, offset, noise, mean, covariance, possible, size, evidence)
 
     def _size_mm(self, covariance: FloatArray) -> float:
         """Return the root mean square displacement of the markers by p [mm]."""
@@ -181,8 +199,18 @@ class PoseLikelihood(NamedTuple):
     """(frames, 6): information times the estimate."""
     chi2: FloatArray
     """(frames,): squared residual over its variance, per degree of freedom."""
-    residual: FloatArray
-    """(frames, markers, 3): of the most probable expression and p; 0 where not used [mm]."""
+    weighted_residual: FloatArray
+    """(frames, markers, 3): of the most probable expression and p, times `precision` [1/mm]."""
+    precision: FloatArray
+    """(frames, markers): of a coordinate; 0 where not used [mm^-2]."""
+    evidence: FloatArray
+    """(frames,): logarithm of the probability density with p ~ N(0, `_START`), per degree of
+    freedom, up to a constant."""
+
+    @property
+    def noise_scale(self) -> FloatArray:
+        """Factor on the variance of e in each frame, where the residuals exceed it: (frames,)."""
+        return np.maximum(self.chi2 / _USUAL_CHI2, 1.0)
 
 
 def _maximise(information: FloatArray, score: FloatArray) -> tuple[FloatArray, ...]:
@@ -208,7 +236,7 @@ class PoseErrors:
     offset: FloatArray
     """(markers, 3): mean residual over the take, as of reapplied markers [mm]."""
     noise_scale: float
-    """Factor on the variance of e, where the residuals exceed it."""
+    """Mean factor on the variance of e."""
     mean: FloatArray
     """(6,): m [rad, mm]."""
     covariance: FloatArray
@@ -217,6 +245,8 @@ class PoseErrors:
     """Root mean square displacement of the markers from that by m [mm]."""
     size_mm: float
     """The same; 0 if it may be expressions, and nothing is removed [mm]."""
+    evidence: float
+    """Mean of `PoseLikelihood.evidence`."""
 
     @property
     def mean_transform(self) -> tuple[FloatArray, FloatArray]:
@@ -233,8 +263,9 @@ class PoseErrors:
             return np.asarray(positions, dtype=np.float64)
         found = self.expressions.likelihood(positions - self.offset, visible)
         inverse = np.linalg.inv(self.covariance)
-        score = found.score / self.noise_scale + inverse @ self.mean
-        precision = found.information / self.noise_scale + inverse
+        scale = found.noise_scale
+        score = found.score / scale[:, None] + inverse @ self.mean
+        precision = found.information / scale[:, None, None] + inverse
         error = np.linalg.solve(precision, score[:, :, None])[:, :, 0]
         moved: FloatArray = np.asarray(positions - np.tensordot(error, self.expressions.rigid, 1))
         at_rest = self.expressions.rigid_markers
