@@ -20,11 +20,7 @@ from usdface.numerics.registration.skin_placement import (
     explained_share,
     solve_weights_at,
 )
-from usdface.numerics.registration.virtual_markers import (
-    LARGEST_NOISE_SCALE,
-    VirtualMarkers,
-    certain_errors,
-)
+from usdface.numerics.registration.virtual_markers import VirtualMarkers, certain_errors
 
 _FAR_SPREADS = 3.0
 """Distance from a marker's landmark, in standard deviations, from which it is reported: 0.3 % of
@@ -124,11 +120,10 @@ def judge_placement(
     roll = _roll_degrees(replace(cloud, neutral=local))
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
     reasons.append(_on_neck(cloud.labels, local, landmarks))
-    explained, is_departing = float("nan"), False
+    explained = float("nan")
     errors = pose_errors_at(cloud, skin, virtual, samples)
     if errors is not None:
         cloud = without_errors(certain_errors(errors), cloud)
-        is_departing = errors.noise_scale >= LARGEST_NOISE_SCALE
     if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
         weights = solve_weights_at(skin, samples, moved, ranges)
@@ -145,7 +140,7 @@ def judge_placement(
         )
         reasons.append(("check", missing) if missing else _FINE)
     if not by_labels and not placed:
-        reasons.append(_by_motion(len(known), explained, is_departing=is_departing))
+        reasons.append(_by_motion(len(known), explained))
     found = [each for each in reasons if each[0] != "good"]
     level = max((each[0] for each in found), key=list(_OPENINGS).index, default="good")
     found.sort(key=lambda each: -list(_OPENINGS).index(each[0]))
@@ -198,16 +193,15 @@ _Reason = tuple[str, str]
 _FINE: _Reason = ("good", "")
 
 
-def _by_motion(known: int, explained: float, *, is_departing: bool) -> _Reason:
-    """Return a check for a placement by motion without labels, or with motion unlike the rig's."""
+def _by_motion(known: int, explained: float) -> _Reason:
+    """Return a check for a placement by motion without labels, or with little explained motion."""
     weak = not explained >= _LEAST_EXPLAINED
     if known < FEWEST_PINS:
         alone = "placed by motion alone, as labels and shapes name too few landmarks"
-        if (weak and not np.isnan(explained)) or is_departing:
+        if weak and not np.isnan(explained):
             alone += (
-                f", and shapes explain {explained:.0%} of it"
-                f"{', but move otherwise at these places' * (is_departing and not weak)}: all "
-                "markers may be far off; give three or more their places with --landmarks"
+                f", and shapes explain {explained:.0%} of it: all markers may be far off; give "
+                "three or more their places with --landmarks"
             )
         return "check", alone
     if weak:

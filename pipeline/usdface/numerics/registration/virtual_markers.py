@@ -13,10 +13,9 @@ from scipy import sparse
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from usdface.numerics.rigid.pose_error import PoseErrors, expression_motion
 
-LARGEST_NOISE_SCALE = 8.0
+LARGEST_NOISE_SCALE = 10.0
 """Noise scale from which a placement is wrong, or the rig lacks shapes of a part: of unlabelled
-set-ups of `poe bench random_captures`, right ones have 1.5 to 5.4 (one 12), wrong ones 8.6 to 21.
-"""
+set-ups of `poe bench random_captures`, right ones have 1.5 to 9 (one 12), wrong ones 8.6 to 21."""
 
 
 @dataclass(frozen=True)
