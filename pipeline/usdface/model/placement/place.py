@@ -19,10 +19,7 @@ from usdface.model.placement.placement_candidates import (
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, KnownPlace
-from usdface.numerics.registration.virtual_markers import (
-    VirtualMarkers,
-    find_pose_errors,
-)
+from usdface.numerics.registration.virtual_markers import VirtualMarkers, find_pose_errors
 from usdface.numerics.rigid.pose_error import PoseErrors
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 
@@ -90,7 +87,7 @@ def place_markers(
     placement, samples = _place(cloud, skin, shapes, limits, pinned or {})
     errors = pose_errors_at(cloud, skin, placement.virtual, samples)
     corrected = _without_rigid_motion(cloud)
-    for _ in range(_POSE_ROUNDS):
+    for count in range(_POSE_ROUNDS):
         if errors is None or not errors.possible_mm:
             break
         other, samples = _place(corrected, skin, shapes, limits, pinned or {})
@@ -98,6 +95,8 @@ def place_markers(
         if found is not None and found.evidence > errors.evidence:
             gain = max(placement.overturned_gain, other.overturned_gain)
             placement, errors = replace(other, overturned_gain=gain), found
+        elif count:
+            break  # the same errors would be removed again
         corrected = without_errors(replace(errors, size_mm=errors.possible_mm), cloud)
     return placement
 
