@@ -39,8 +39,15 @@ the two sides of a symmetric face."""
 
 
 _POSE_ROUNDS = 3
-"""Placements of motion without errors of the takes' poses, as of a head band that slips: first
-without any rigid motion, then without the errors that the more probable placement tells."""
+"""Placements of motion without errors of the takes' poses, as of a head band that slips: without
+any rigid motion if they may be large, then without the errors that the placement so far tells."""
+
+_LARGE_ERROR_MM = 1.0
+"""Error of the poses that may have misplaced the markers, so that they do not tell it."""
+
+_LEAST_GAIN = 0.01
+"""Gain of the logarithm of the density, per degree of freedom, for which another round is worth its
+seconds: less moves markers by less than a millimetre."""
 
 
 @dataclass(frozen=True)
@@ -86,18 +93,19 @@ def place_markers(
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     placement, samples = _place(cloud, skin, shapes, limits, pinned or {})
     errors = pose_errors_at(cloud, skin, placement.virtual, samples)
-    corrected = _without_rigid_motion(cloud)
     for count in range(_POSE_ROUNDS):
         if errors is None or not errors.possible_mm:
             break
+        is_large = count == 0 and errors.possible_mm >= _LARGE_ERROR_MM
+        removed = replace(errors, size_mm=errors.possible_mm)
+        corrected = _without_rigid_motion(cloud) if is_large else without_errors(removed, cloud)
         other, samples = _place(corrected, skin, shapes, limits, pinned or {})
         found = pose_errors_at(cloud, skin, other.virtual, samples)
-        if found is not None and found.evidence > errors.evidence:
+        if found is not None and found.evidence >= errors.evidence + _LEAST_GAIN:
             gain = max(placement.overturned_gain, other.overturned_gain)
             placement, errors = replace(other, overturned_gain=gain), found
-        elif count:
-            break  # the same errors would be removed again
-        corrected = without_errors(replace(errors, size_mm=errors.possible_mm), cloud)
+        elif not is_large:
+            break
     return placement
 
 
