@@ -1,12 +1,17 @@
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
 
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.numerics.registration.marker_application import (
+    _EXPRESSION_SHARES,
+    _NOISE_MM,
+    _OFFSET_DEVIATIONS_MM,
     NEAR_MM,
+    _most_probable_offset,
     compare_neighbours,
     find_offset,
     measure_distances,
@@ -36,11 +41,18 @@ def seen(positions: FloatArray) -> BoolArray:
     return np.ones(positions.shape[:2], bool)
 
 
-def offset_of(others: FloatArray, usable: BoolArray | None = None) -> FloatArray:
+def offset_of(
+    others: FloatArray, usable: BoolArray | None = None, neutral: FloatArray | None = None
+) -> FloatArray:
     ours = performance(0)
     return find_offset(
-        ours, seen(ours), others, seen(others) if usable is None else usable, neutral=NEUTRAL
-    )
+        ours,
+        seen(ours),
+        others,
+        seen(others) if usable is None else usable,
+        neutral=NEUTRAL,
+        others_neutral=np.full_like(NEUTRAL, np.nan) if neutral is None else neutral,
+    )[0]
 
 
 def test_distances_are_those_of_the_markers_seen() -> None:
@@ -69,7 +81,7 @@ def rms(offset: FloatArray) -> float:
 
 
 def test_a_recording_has_no_offset_from_itself() -> None:
-    assert not offset_of(performance(0)).any()
+    assert rms(offset_of(performance(0))) < 1e-5
 
 
 def test_another_performance_of_the_same_markers_has_next_to_none() -> None:
@@ -80,6 +92,42 @@ def test_markers_that_sit_elsewhere_are_found_whatever_the_face_does() -> None:
     found = offset_of(performance(1) + GLUE)
     assert rms(GLUE) > 2.5
     assert rms(found - GLUE) < rms(GLUE) / 5
+
+
+def test_a_neutral_face_tells_the_offset_of_a_take_that_acts_otherwise() -> None:
+    """All its frames have expressions that the performer's do not show."""
+    rng = np.random.default_rng(9)
+    strange = rng.uniform(0.5, 1.5, (900, 3)) @ rng.normal(size=(3, MARKERS * 3))
+    acted = performance(1) + 2.0 * strange.reshape(-1, MARKERS, 3) + GLUE
+    error = rms(offset_of(acted) - GLUE)
+    assert error > 2.0
+    assert rms(offset_of(acted, neutral=NEUTRAL + GLUE) - GLUE) < 0.6 * error
+
+
+def test_a_neutral_face_that_smiles_is_not_an_offset() -> None:
+    smile = NEUTRAL + 0.8 * SHAPES[2]
+    assert rms(offset_of(performance(1), neutral=smile)) < 0.2
+    assert rms(offset_of(performance(1) + GLUE, neutral=smile + GLUE) - GLUE) < rms(GLUE) / 4
+
+
+def test_the_offset_is_the_conditional_mean_of_the_most_likely_variances() -> None:
+    rng = np.random.default_rng(6)
+    variance = np.array([9.0, 4.0, 1.0, 0.0, 0.0])
+    alike = np.ones((2, 2))
+    for smile in (0.0, 3.0):
+        shown = rng.normal(size=5) + np.array([[0.1], [smile]]) * np.sqrt(variance)
+        best = (-np.inf, shown[0])
+        for prior, *shares in product(
+            _OFFSET_DEVIATIONS_MM, _EXPRESSION_SHARES, _EXPRESSION_SHARES
+        ):
+            error = np.diag(np.kron(np.square(shares), variance) + _NOISE_MM**2)
+            whole = prior**2 * np.kron(alike, np.eye(5)) + error
+            density = multivariate_normal.logpdf(shown.ravel(), cov=whole)
+            both = prior**2 * np.kron(np.ones((1, 2)), np.eye(5))
+            best = max(
+                best, (density, both @ np.linalg.solve(whole, shown.ravel())), key=lambda x: x[0]
+            )
+        np.testing.assert_allclose(_most_probable_offset(shown, variance)[0], best[1], rtol=1e-6)
 
 
 def test_unseen_markers_say_nothing() -> None:

@@ -11,6 +11,7 @@ from usdface.model.mapping.performer_face import PerformerFace
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.numerics.registration.marker_application import (
     compare_neighbours,
+    expression_covariance,
     find_offset,
     measure_distances,
     measure_stretch,
@@ -29,7 +30,15 @@ DISJOINT_SHARE = 0.02
 without, there are none; a single marker that slipped reaches this share."""
 
 SHORTEST_COMPARED_SECONDS = 10.0
-"""Shorter takes may consist of one expression that no other take has, and are not compared."""
+"""Shorter takes may consist of one expression that no other take has. If their session is not
+stated, an offset is removed from them only if it is larger, and seen at expressions alike."""
+
+_MIN_SHORT_OFFSET_MM = 1.0
+"""The least offset of such a take: expressions that the performer's frames do not show pass for up
+to 0.7 mm."""
+
+_ALIKE_SHARE = 0.3
+"""Largest difference between expressions that are alike, relative to the performer's motion."""
 
 MAX_STRETCH = 0.04
 """Largest stretch between faces of one performer: breadth, height and depth of adults' faces have
@@ -178,7 +187,17 @@ def compare_neutral(
     InputError
         If the labels of two markers are exchanged throughout, or the take is of another performer.
     """
-    offset = find_offset(face.frames, face.usable, positions, usable, neutral=face.neutral)
+    stated = np.full_like(face.neutral, np.nan)
+    for row in np.flatnonzero(frames == stated_frame):
+        stated = np.where(usable[row, :, None], positions[row], np.nan)
+    offset, share = find_offset(
+        face.frames,
+        face.usable,
+        positions,
+        usable,
+        neutral=face.neutral,
+        others_neutral=stated,
+    )
     same_session = bool(session) and session == face.session
     other_session = bool(session and face.session) and not same_session
     _check_labels(face.marker_names, face.neutral, positions, usable)
@@ -191,14 +210,16 @@ def compare_neutral(
         )
     is_long = np.ptp(frames) >= SHORTEST_COMPARED_SECONDS * rate
     offset_mm = float(np.sqrt((offset[seen] ** 2).sum(axis=1).mean()))
-    if offset_mm < MIN_OFFSET_MM or not (is_long or other_session):
+    is_compared = is_long or other_session or share <= _ALIKE_SHARE
+    least_mm = MIN_OFFSET_MM if is_long or other_session else _MIN_SHORT_OFFSET_MM
+    if offset_mm < least_mm or not is_compared:
         offset, offset_mm = np.zeros_like(offset), 0.0
-    share = float("nan")
+    reapplied = float("nan")
     if is_long and not same_session:
-        share = compare_neighbours(face.frames, face.usable, positions, usable)
+        reapplied = compare_neighbours(face.frames, face.usable, positions, usable)
     away_mm = measure_distances(positions, usable, face.neutral + offset)
     row = int(away_mm.argmin())
-    stated = away_mm[frames == stated_frame]
+    stated_mm = away_mm[frames == stated_frame]
     return TakeNeutral(
         face.marker_names,
         offset,
@@ -206,9 +227,9 @@ def compare_neutral(
         int(frames[row]),
         stated_frame,
         float(away_mm[row]),
-        float(stated[0]) if np.isfinite(stated).any() else float("nan"),
+        float(stated_mm[0]) if np.isfinite(stated_mm).any() else float("nan"),
         difference,
-        share,
+        reapplied,
     )
 
 
@@ -242,9 +263,9 @@ def _compare_proportions(face: PerformerFace, offset: FloatArray, seen: BoolArra
     """
     if seen.sum() < _MIN_MARKERS:
         return ""
-    moved = np.where(face.usable[..., None], face.frames - face.neutral, 0.0)[:, seen]
-    moved = moved.reshape(len(moved), -1)
-    covariance = moved.T @ moved / max(len(moved), 1)
+    covariance = expression_covariance(
+        face.frames[:, seen], face.usable[:, seen], face.neutral[seen]
+    )
     covariance += _REAPPLIED_MM**2 / 3 * np.eye(len(covariance))
     fit = measure_stretch(face.neutral[seen], (face.neutral + offset)[seen], covariance)
     strain = np.abs(np.log(np.maximum(fit.stretch, 1e-3)))

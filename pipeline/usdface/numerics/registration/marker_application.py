@@ -1,13 +1,13 @@
 """Offsets of markers between two recordings of one face.
 
 Markers that are applied again sit elsewhere on the skin, and head spaces agree to a millimetre.
-Both shift a marker by nearly the same vector in all frames, unlike expression.
+Both shift a marker by nearly the same vector in all frames, each by its own; expressions move
+neighbours alike.
 
 References
 ----------
 Haghverdi, Lun, Morgan and Marioni (2018), Batch effects in single-cell RNA-sequencing data are
 corrected by matching mutual nearest neighbors, Nature Biotechnology 36, 421-427: `find_offset`.
-James and Stein (1961), Estimation with quadratic loss, Berkeley Symposium 1, 361-379: shrinkage.
 """
 
 from dataclasses import dataclass
@@ -42,6 +42,17 @@ _GAP_MM = 0.5
 _RANGE_TAIL = 0.002
 """Share of the frames left out at either end of a distance's range, as outliers."""
 
+_OFFSET_DEVIATIONS_MM = np.array([0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4])
+"""Candidates of the standard deviation of a marker's offset on an axis: from errors of head spaces
+to markers that were applied by eye."""
+
+_EXPRESSION_SHARES = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0])
+"""Candidates of the difference of expression, relative to the performer's motion."""
+
+_OWN_SHARE = 0.03
+"""Variance of a marker in an expression that the performer's frames do not show, relative to that
+in those which they show."""
+
 
 def find_offset(
     frames: FloatArray,
@@ -50,14 +61,21 @@ def find_offset(
     others_usable: BoolArray,
     *,
     neutral: FloatArray,
-) -> FloatArray:
-    """Estimate each marker's constant shift between two recordings of one face.
+    others_neutral: FloatArray,
+) -> tuple[FloatArray, float]:
+    """Estimate each marker's constant shift o between two recordings of one face.
 
-    Mutual nearest neighbours show nearly the same expression, so that their difference is the
-    shift. Matching starts at zero, which favours small shifts. A marker's shift is shrunk by the
-    scatter of these differences: recordings that differ by expression alone keep theirs at 0.
-    Returns (markers, 3), to be subtracted from the other recording [mm]; 0 where it cannot be
-    estimated.
+    Two differences show it: the mean over mutual nearest neighbours, which are frames of nearly the
+    same expression, and that of the neutral faces. Either has a difference of expression as well::
+
+        y_i = o + e_i    o ~ N(0, s^2)    e_i ~ N(0, t_i^2 C + noise)
+
+    with the covariance C of the performer's expressions, so that the neutral faces count little if
+    they differ by a smile, and matched frames if the recordings have few expressions in common.
+    s, t_1 and t_2 maximise the likelihood. Matching starts at zero, which favours small shifts.
+
+    Returns the posterior mean, (markers, 3), to be subtracted from the other recording [mm]; 0
+    where it cannot be estimated. And the smaller of t_1 and t_2 [0.01-2].
 
     Parameters
     ----------
@@ -69,13 +87,18 @@ def find_offset(
     others_usable : (frames, markers) bool array
     neutral : (markers, 3) float array
         The performer's neutral face, used as one more frame [mm].
+    others_neutral : (markers, 3) float array
+        That of the other recording, if it has one; NaN where it is not known [mm].
     """
     known = np.concatenate([np.ones((1, usable.shape[1]), bool), usable])
     ours = np.concatenate([neutral[None], frames])
     offset = np.zeros_like(neutral)
     if min(len(frames), len(others)) < _FEWEST_FRAMES:
-        return offset
-    scatter = np.zeros(len(neutral))
+        return offset, np.inf
+    covariance = expression_covariance(frames, usable, neutral)
+    covariance += _OWN_SHARE * np.diag(np.diag(covariance))
+    variance, axes = np.linalg.eigh(covariance)
+    neutrals = others_neutral - neutral
     for _ in range(_MATCHING_ROUNDS):
         squared = _squared_distances(ours + offset, known, others, others_usable)
         rows, other_rows = _mutual_pairs(squared)
@@ -86,11 +109,51 @@ def find_offset(
         share = weight[:, None] * both
         share /= np.maximum(share.sum(axis=0), 1e-12)
         difference = np.where(both[..., None], others[other_rows] - ours[rows], 0.0)
-        offset = np.einsum("pm,pmc->mc", share, difference)
-        residual = np.where(both[..., None], difference - offset, 0.0)
-        scatter = np.einsum("pm,pm->m", share, (residual**2).sum(axis=2))
-    length = np.maximum((offset**2).sum(axis=1), 1e-12)
-    return offset * np.maximum(1 - scatter / length, 0.0)[:, None]
+        matched = np.einsum("pm,pmc->mc", share, difference)
+        unmatched = ~both.any(axis=0)[:, None]
+        # A marker that one of the two lacks has the difference of the other.
+        second = np.where(np.isnan(neutrals), matched, neutrals)
+        first = np.where(unmatched, second, matched)
+        shown = np.stack([first.ravel(), second.ravel()]) @ axes
+        mean, share = _most_probable_offset(shown, np.maximum(variance, 0.0))
+        offset = (axes @ mean).reshape(-1, 3)
+    return np.where(others_usable.any(axis=0)[:, None], offset, 0.0), share
+
+
+def expression_covariance(frames: FloatArray, usable: BoolArray, neutral: FloatArray) -> FloatArray:
+    """Return the second moment of the motion from the neutral [mm^2].
+
+    (3 markers, 3 markers), of `frames`, (frames, markers, 3) [mm], where `usable`.
+    """
+    moved = np.where(usable[..., None], frames - neutral, 0.0).reshape(len(frames), -1)
+    return np.asarray(moved.T @ moved / max(len(moved), 1))
+
+
+def _most_probable_offset(shown: FloatArray, variance: FloatArray) -> tuple[FloatArray, float]:
+    """Return the posterior mean of an offset from two differences that show it, and min(t_i).
+
+    Parameters
+    ----------
+    shown : (2, coordinates) float array
+        Along the principal axes of the expressions [mm].
+    variance : (coordinates,) float array
+        Of the expressions [mm^2].
+    """
+    noise = np.multiply.outer(_EXPRESSION_SHARES**2, variance) + _NOISE_MM**2
+    first, second = 1 / noise[:, None], 1 / noise
+    information = first + second
+    score = first * shown[0] + second * shown[1]
+    constant = np.log(first * second) - first * shown[0] ** 2 - second * shown[1] ** 2
+    best = -np.inf, shown[0], np.inf
+    for prior in _OFFSET_DEVIATIONS_MM**2:
+        posterior = information + 1 / prior
+        log_likelihood = constant + score**2 / posterior - np.log(posterior * prior)
+        total = log_likelihood.sum(axis=2)
+        at = np.unravel_index(int(total.argmax()), total.shape)
+        if total[at] > best[0]:
+            share = float(_EXPRESSION_SHARES[list(at)].min())
+            best = float(total[at]), score[at] / posterior[at], share
+    return best[1:]
 
 
 def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) -> FloatArray:
