@@ -219,7 +219,7 @@ def test_a_slip_is_removed_from_references_and_takes() -> None:
     uncorrected = replace(expected, arrays=arrays)
     placed = align_markers(uncorrected, markers_of(slipped(other, 3)), rate=60)
     found = predict_weights(uncorrected, placed.positions, visible=placed.visible).weights
-    assert np.sqrt(((found - other.weights) ** 2).mean()) > 0.1
+    assert np.sqrt(((found - other.weights) ** 2).mean()) > 1.5 * max(errors)
 
 
 def test_a_mapping_without_a_rig_removes_nothing() -> None:

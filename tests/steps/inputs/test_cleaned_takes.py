@@ -66,16 +66,17 @@ def test_a_take_of_another_day_meets_the_first(tmp_path: Path) -> None:
 
 
 def test_takes_are_compared_with_a_mapping_by_their_length_in_seconds(tmp_path: Path) -> None:
-    """A small offset is removed from takes of ten seconds and more, whatever their rate."""
+    """Distances are compared in takes of ten seconds and more, offsets are removed from shorter."""
     frames = from_neutral(0)
     seen = np.ones(frames.shape[:2], bool)
     face = PerformerFace(NAMES, NAMES[:8], NEUTRAL, frames, seen, "Kim", "")
     count = len(frames)
     for rate, compared in ((count // 15, True), (count // 6, False)):
-        moved = from_neutral(1) + 0.25 * GLUE
+        moved = from_neutral(1) + GLUE
         path = write(tmp_path, f"at{rate}", moved, rate=rate, performer="Kim")
         space = read_cleaned_takes((path,)).head_space(face)
-        assert space.neutral.offset.any() == compared
+        assert np.isfinite(space.neutral.reapplied_share) == compared
+        assert space.neutral.offset.any()
 
 
 def test_the_session_is_kept_and_used(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Alignment of a take with a performer's marker order, head space and neutral face."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from usdface.model.mapping.performer_face import PerformerFace
 from usdface.model.mapping.take_neutral import MIN_OFFSET_MM, TakeNeutral, compare_neutral
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
-from usdface.numerics.rigid.pose_error import PoseErrors
+from usdface.numerics.rigid.pose_error import PoseErrors, observed_motion
 from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 MINIMUM_SHARE = 0.5
@@ -42,6 +43,10 @@ to a child; units differ by 2.5 or 10."""
 
 _SLIP_MM = 1.0
 """Scale of the Geman-McClure weights, which reject rigid markers that slipped."""
+
+_MOVED_MM = 2.0
+"""Mean error of the poses from which the rigid markers, as of a head band, were put on again: head
+spaces of one application agree to a millimetre."""
 
 _OFFSET_ERROR_SHARE = 0.25
 """Error of an offset, relative to it: reapplied markers have 0.33 to 0.39 (`poe bench
@@ -168,7 +173,7 @@ def find_head_space(
         picks = np.union1d(picks, np.flatnonzero(numbers == markers.neutral_frame))
     seen = visible[picks]
 
-    def align() -> FloatArray:
+    def align(rotation: FloatArray, shift: FloatArray) -> FloatArray:
         return positions[picks].astype(np.float64) @ rotation.T + shift
 
     def compare(aligned: FloatArray) -> TakeNeutral:
@@ -183,20 +188,17 @@ def find_head_space(
             session=session,
         )
 
-    errors = None if face.expressions is None else face.expressions.find_errors(align(), seen)
-    if errors is not None and errors.size_mm:
-        turn, step = errors.mean_transform
-        rotation, shift = turn @ rotation, turn @ shift + step
-        errors = errors.expressions.find_errors(align(), seen)
-        neutral = compare(errors.remove(align(), seen))
+    rotation, shift, errors = _correct_poses(face, align, seen, (rotation, shift))
+    if errors is not None:
+        neutral = compare(errors.remove(align(rotation, shift), seen))
     else:
-        neutral = compare(align())
+        neutral = compare(align(rotation, shift))
         if neutral.offset.any() and by_pairs is None:
             # The median of rigid markers, which sit on skin, depends on the take's expressions. The
             # offset compares equal expressions: its rigid part is an error of the head space.
             turn, step = _rigid_part(face, neutral.offset, np.asarray(seen.any(axis=0)))
             rotation, shift = turn @ rotation, turn @ shift + step
-            neutral = compare(align())
+            neutral = compare(align(rotation, shift))
     if by_pairs is not None:
         size_mm = float(np.sqrt((by_pairs[2] ** 2).sum(axis=1).mean()))
         neutral = replace(neutral, offset=np.zeros_like(neutral.offset), offset_mm=size_mm)
@@ -206,6 +208,33 @@ def find_head_space(
     return HeadSpace(
         columns, slots, count, rotation, shift, missing, extra, neutral, known, errors, pair_offset
     )
+
+
+def _correct_poses(
+    face: PerformerFace,
+    align: Callable[[FloatArray, FloatArray], FloatArray],
+    seen: BoolArray,
+    transform: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray, PoseErrors | None]:
+    """Return a take's transform without the mean error of its poses, and the errors that are left.
+
+    Where the rig's motion of the markers is not known, that of the performer's frames tells the
+    mean. The transform as it is, and None, if the mean is left to the rigid part of the offset.
+    """
+    rigid = np.isin(face.marker_names, face.rigid)
+    motion = face.expressions or observed_motion(
+        np.where(face.usable[..., None], face.frames, face.neutral), face.neutral, rigid=rigid
+    )
+    errors = motion.find_errors(align(*transform), seen)
+    size_mm = errors.size_mm if face.expressions is not None else 0.0
+    if not size_mm and errors.mean_mm < _MOVED_MM:
+        return *transform, None
+    turn, step = errors.mean_transform
+    moved = turn @ transform[0], turn @ transform[1] + step
+    left = motion.find_errors(align(*moved), seen)
+    if not size_mm and left.evidence <= errors.evidence:
+        return *transform, None
+    return *moved, left if size_mm else replace(left, size_mm=0.0)
 
 
 def _align_pairs(

@@ -29,16 +29,13 @@ DISJOINT_SHARE = 0.02
 """Share of neighbouring pairs with disjoint ranges of distance from which markers were reapplied:
 without, there are none; a single marker that slipped reaches this share."""
 
-SHORTEST_COMPARED_SECONDS = 10.0
-"""Shorter takes may consist of one expression that no other take has. If their session is not
-stated, an offset is removed from them only if it is larger, and seen at expressions alike."""
+_SHORTEST_COMPARED_SECONDS = 10.0
+"""Shorter takes may consist of one expression that no other take has, and their distances do not
+pass through all values."""
 
-_MIN_SHORT_OFFSET_MM = 1.0
-"""The least offset of such a take: expressions that the performer's frames do not show pass for up
-to 0.7 mm."""
-
-_ALIKE_SHARE = 0.3
-"""Largest difference between expressions that are alike, relative to the performer's motion."""
+_MIN_GAIN = 5.0
+"""Log-likelihood per coordinate that an offset of a shorter take gains at least, unless its session
+is another: expressions that the performer's frames do not show pass for offsets that gain 3.5."""
 
 MAX_STRETCH = 0.04
 """Largest stretch between faces of one performer: breadth, height and depth of adults' faces have
@@ -190,7 +187,7 @@ def compare_neutral(
     stated = np.full_like(face.neutral, np.nan)
     for row in np.flatnonzero(frames == stated_frame):
         stated = np.where(usable[row, :, None], positions[row], np.nan)
-    offset, share = find_offset(
+    offset, gain = find_offset(
         face.frames,
         face.usable,
         positions,
@@ -199,7 +196,6 @@ def compare_neutral(
         others_neutral=stated,
     )
     same_session = bool(session) and session == face.session
-    other_session = bool(session and face.session) and not same_session
     _check_labels(face.marker_names, face.neutral, positions, usable)
     seen = np.asarray(usable.any(axis=0))
     difference = _compare_proportions(face, offset, seen)
@@ -208,11 +204,10 @@ def compare_neutral(
             f"the take is of another performer: {difference}. Give takes of one performer; if it "
             "is the same one, ingest every take with `usdface ingest --performer NAME`"
         )
-    is_long = np.ptp(frames) >= SHORTEST_COMPARED_SECONDS * rate
     offset_mm = float(np.sqrt((offset[seen] ** 2).sum(axis=1).mean()))
-    is_compared = is_long or other_session or share <= _ALIKE_SHARE
-    least_mm = MIN_OFFSET_MM if is_long or other_session else _MIN_SHORT_OFFSET_MM
-    if offset_mm < least_mm or not is_compared:
+    is_long = np.ptp(frames) >= _SHORTEST_COMPARED_SECONDS * rate
+    is_certain = is_long or gain >= _MIN_GAIN or bool(session and face.session and not same_session)
+    if offset_mm < MIN_OFFSET_MM or not is_certain:
         offset, offset_mm = np.zeros_like(offset), 0.0
     reapplied = float("nan")
     if is_long and not same_session:

@@ -49,7 +49,7 @@ to markers that were applied by eye."""
 _EXPRESSION_SHARES = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0])
 """Candidates of the difference of expression, relative to the performer's motion."""
 
-_OWN_SHARE = 0.03
+_UNSEEN_SHARE = 0.03
 """Variance of a marker in an expression that the performer's frames do not show, relative to that
 in those which they show."""
 
@@ -75,7 +75,7 @@ def find_offset(
     s, t_1 and t_2 maximise the likelihood. Matching starts at zero, which favours small shifts.
 
     Returns the posterior mean, (markers, 3), to be subtracted from the other recording [mm]; 0
-    where it cannot be estimated. And the smaller of t_1 and t_2 [0.01-2].
+    where it cannot be estimated. And the gain of log-likelihood by an offset, per coordinate.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def find_offset(
     ours = np.concatenate([neutral[None], frames])
     offset = np.zeros_like(neutral)
     if min(len(frames), len(others)) < _FEWEST_FRAMES:
-        return offset, np.inf
+        return offset, 0.0
     covariance = expression_covariance(frames, usable, neutral)
-    covariance += _OWN_SHARE * np.diag(np.diag(covariance))
+    covariance += _UNSEEN_SHARE * np.diag(np.diag(covariance))
     variance, axes = np.linalg.eigh(covariance)
     neutrals = others_neutral - neutral
     for _ in range(_MATCHING_ROUNDS):
@@ -115,9 +115,9 @@ def find_offset(
         second = np.where(np.isnan(neutrals), matched, neutrals)
         first = np.where(unmatched, second, matched)
         shown = np.stack([first.ravel(), second.ravel()]) @ axes
-        mean, share = _most_probable_offset(shown, np.maximum(variance, 0.0))
+        mean, gain = _most_probable_offset(shown, np.maximum(variance, 0.0))
         offset = (axes @ mean).reshape(-1, 3)
-    return np.where(others_usable.any(axis=0)[:, None], offset, 0.0), share
+    return np.where(others_usable.any(axis=0)[:, None], offset, 0.0), gain
 
 
 def expression_covariance(frames: FloatArray, usable: BoolArray, neutral: FloatArray) -> FloatArray:
@@ -130,12 +130,12 @@ def expression_covariance(frames: FloatArray, usable: BoolArray, neutral: FloatA
 
 
 def _most_probable_offset(shown: FloatArray, variance: FloatArray) -> tuple[FloatArray, float]:
-    """Return the posterior mean of an offset from two differences that show it, and min(t_i).
+    """Return the posterior mean of an offset, and the gain of log-likelihood per coordinate.
 
     Parameters
     ----------
     shown : (2, coordinates) float array
-        Along the principal axes of the expressions [mm].
+        The differences that show it, along the principal axes of the expressions [mm].
     variance : (coordinates,) float array
         Of the expressions [mm^2].
     """
@@ -144,16 +144,15 @@ def _most_probable_offset(shown: FloatArray, variance: FloatArray) -> tuple[Floa
     information = first + second
     score = first * shown[0] + second * shown[1]
     constant = np.log(first * second) - first * shown[0] ** 2 - second * shown[1] ** 2
-    best = -np.inf, shown[0], np.inf
+    best = -np.inf, shown[0]
     for prior in _OFFSET_DEVIATIONS_MM**2:
         posterior = information + 1 / prior
-        log_likelihood = constant + score**2 / posterior - np.log(posterior * prior)
-        total = log_likelihood.sum(axis=2)
+        twice_density = constant + score**2 / posterior - np.log(posterior * prior)
+        total = twice_density.sum(axis=2)
         at = np.unravel_index(int(total.argmax()), total.shape)
         if total[at] > best[0]:
-            share = float(_EXPRESSION_SHARES[list(at)].min())
-            best = float(total[at]), score[at] / posterior[at], share
-    return best[1:]
+            best = float(total[at]), score[at] / posterior[at]
+    return best[1], (best[0] - float(constant.sum(axis=2).max())) / (2 * len(variance))
 
 
 def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) -> FloatArray:

@@ -159,15 +159,15 @@ class ExpressionMotion:
         mean, covariance, posterior = _maximise(
             found.information / scale[:, None, None], found.score / scale[:, None]
         )
-        possible, unknown = self._size_mm(covariance), self._size_mm(posterior)
+        possible, unknown = self.size_mm(covariance), self.size_mm(posterior)
         if len(positions) < _FEWEST_FRAMES or possible < _LEAST_MM:
             possible = 0.0
         size = possible if possible >= _LEAST_RATIO * unknown else 0.0
         noise, evidence = float(scale.mean()), float(found.evidence.mean())
         return PoseErrors(self, offset, noise, mean, covariance, possible, size, evidence)
 
-    def _size_mm(self, covariance: FloatArray) -> float:
-        """Return the root mean square displacement of the markers by p [mm]."""
+    def size_mm(self, covariance: FloatArray) -> float:
+        """Return the root mean square displacement of the markers by p ~ N(0, covariance) [mm]."""
         squares = np.einsum("pmc,qmc,pq->m", self.rigid, self.rigid, covariance)
         return float(np.sqrt(squares.mean()))
 
@@ -249,6 +249,11 @@ class PoseErrors:
     """Mean of `PoseLikelihood.evidence`."""
 
     @property
+    def mean_mm(self) -> float:
+        """Root mean square displacement of the markers by m [mm]."""
+        return self.expressions.size_mm(np.outer(self.mean, self.mean))
+
+    @property
     def mean_transform(self) -> tuple[FloatArray, FloatArray]:
         """Rotation and shift that remove the mean, without linearisation."""
         from scipy.spatial.transform import Rotation  # slow to import
@@ -271,6 +276,27 @@ class PoseErrors:
         at_rest = self.expressions.rigid_markers
         moved[:, at_rest] = self.expressions.neutral[at_rest]
         return moved
+
+
+def observed_motion(
+    frames: FloatArray, neutral: FloatArray, *, rigid: BoolArray
+) -> ExpressionMotion:
+    """Return the distribution of a performer's displacements, as frames show them.
+
+    Parameters
+    ----------
+    frames : (frames, markers, 3) float array
+        Without errors of poses [mm].
+    neutral : (markers, 3) float array
+        [mm]
+    rigid : (markers,) bool array
+        Rigid markers.
+    """
+    moved = (frames - neutral).reshape(len(frames), -1) / np.sqrt(len(frames))
+    _, deviations, directions = np.linalg.svd(moved, full_matrices=False)
+    components = (deviations[:, None] * directions)[:_COMPONENT_COUNT].reshape(-1, *neutral.shape)
+    motion2 = (moved**2).sum(axis=0).reshape(neutral.shape).mean(axis=1)
+    return ExpressionMotion(neutral, components, motion2, rigid)
 
 
 def expression_motion(
