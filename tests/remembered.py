@@ -9,8 +9,8 @@ import pickle
 import sys
 from collections.abc import Callable
 from hashlib import sha256
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 from unittest.mock import patch
 
@@ -36,6 +36,7 @@ REMEMBERED = (
     ("usdface.model.retarget.shape_matching", "align_cloud"),
     ("usdface.model.selection.baseline", "solve_weights"),
     ("usdface.model.surface.binding", "place_markers"),
+    ("usdface.numerics.rigid.pose_error:ExpressionMotion", "find_errors"),
     ("usdface.steps.inputs.placement", "place_markers"),
     ("usdface.steps.inputs.placement", "judge_placement"),
     ("usdface.steps.inputs.placement", "bind_at"),
@@ -50,9 +51,10 @@ REMEMBERED = (
 )
 """The demo's heads, where the shot's markers are placed and how far they move there, the picture of
 it, what is drawn of a rig, how much light falls on each of the face's points, the basis of a scan's
-variances, how far a take's markers lie from the references', the forward models of pairs, and what
-the blendshape equation solves: most steps ask for them. What is remembered goes by the content of
-all arguments. Tests of one of these call it under its own name."""
+variances, how far a take's markers lie from the references', the errors of its poses, the forward
+models of pairs, and what the blendshape equation solves: most steps ask for them. What is
+remembered goes by the content of all arguments. Tests of one of these call it under its own
+name."""
 
 
 def remember(
@@ -60,9 +62,9 @@ def remember(
 ) -> None:
     """Replace functions by ones that compute once what follows from their arguments."""
     folder.mkdir(exist_ok=True)
-    for module_name, name in names:
-        module = import_module(module_name)
-        replace(module, name, _remembering(getattr(module, name), folder))
+    for owner_name, name in names:
+        owner = resolve_name(owner_name)
+        replace(owner, name, _remembering(getattr(owner, name), folder))
     # Tests of where markers lie call `sample_face_skin` themselves.
     replace(deformer, "sample_face_skin", _remembering(coarse_face_skin, folder))
 

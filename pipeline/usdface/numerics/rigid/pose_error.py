@@ -106,15 +106,17 @@ class ExpressionMotion:
     def _integrate(self, moved: FloatArray, seen: BoolArray) -> tuple[FloatArray, ...]:
         """Return the fields of `likelihood` for a block of displacements."""
         both = np.concatenate([self.components, self.rigid])
-        count, free = len(self.components), 3 * seen.sum(axis=1)
+        count, free, prior = len(self.components), 3 * seen.sum(axis=1), np.diag(1 / _START)
         flat, displaced = both.reshape(len(both), -1), moved.reshape(len(moved), -1)
+        by_marker = both.transpose(1, 0, 2)
+        products = (by_marker @ by_marker.transpose(0, 2, 1)).reshape(len(by_marker), -1)
         variance = np.broadcast_to(self.motion2, seen.shape)
         away = np.zeros(seen.shape)
         for _ in range(_NOISE_ROUNDS):
             precision = seen / (_NOISE_MM**2 + _DEPARTURE_SHARE**2 * variance)
             precision /= np.maximum(np.sqrt(precision) * away / _HUBER_THRESHOLD, 1)
             weight = np.repeat(precision, 3, axis=1)
-            normal = (flat * weight[:, None]) @ flat.T
+            normal = (precision @ products).reshape(len(moved), len(both), len(both))
             right = (weight * displaced) @ flat.T
             inner = normal[:, :count, :count] + np.eye(count)
             solved = np.linalg.solve(
@@ -123,7 +125,7 @@ class ExpressionMotion:
             cross = normal[:, count:, :count]
             information = normal[:, count:, count:] - cross @ solved[:, :, :6]
             score = right[:, count:] - (cross @ solved[:, :, 6:])[:, :, 0]
-            p = np.linalg.solve(information + np.diag(1 / _START), score[:, :, None])
+            p = np.linalg.solve(information + prior, score[:, :, None])
             z = solved[:, :, 6:] - solved[:, :, :6] @ p
             variance = (np.tensordot(z[:, :, 0], self.components, 1) ** 2).mean(axis=2)
             residual = displaced - np.concatenate([z, p], axis=1)[:, :, 0] @ flat
@@ -131,9 +133,7 @@ class ExpressionMotion:
         chi2 = (weight * displaced * residual).sum(axis=1) / np.maximum(free - 6, 1)
         weighted = residual.reshape(moved.shape) * precision[:, :, None]
         # log det of B' B + P' S P + nu, by the matrix determinant lemma.
-        spread = (
-            np.linalg.slogdet(inner)[1] + np.linalg.slogdet(information + np.diag(1 / _START))[1]
-        )
+        spread = np.linalg.slogdet(inner)[1] + np.linalg.slogdet(information + prior)[1]
         spread -= 3 * np.log(np.where(seen, precision, 1.0)).sum(axis=1)
         evidence = -0.5 * (chi2 + spread / np.maximum(free - 6, 1))
         return information, score, chi2, weighted, precision, evidence
