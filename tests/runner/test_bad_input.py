@@ -21,6 +21,8 @@ from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec
 from usdface.usdio.take.read import read_take
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 COMMAND = Path(sys.executable).with_name("usdface")
 
 

@@ -20,6 +20,8 @@ from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
 from usdface.steps.capture import track_pictures
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 
 def state(spec: Spec) -> tuple[str, str]:
     found = job_states(JobSpec(job="shot", steps=(spec,)))[0]

@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+import pytest
+
 from tests.steps.small_shot import Shot
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path, placement_path, tuned_path
@@ -14,6 +16,8 @@ from usdface.specs.reading import read_job
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import correct_binding
+
+pytestmark = pytest.mark.usefixtures("without_comparison")
 
 
 def step(shot: Shot, name: str) -> Spec:

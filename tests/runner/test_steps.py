@@ -32,6 +32,8 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 
 def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)
@@ -314,7 +316,6 @@ def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:
     assert Sdf.Layer.FindOrOpen(str(weights_path(shot / "part.usda"))).defaultPrim == "shot"
 
 
-@pytest.mark.usefixtures("without_comparison")
 def test_training_leaves_proposals_out_once_enough_pairs_are_tuned(shot: Shot) -> None:
     run(
         SelectSpec(

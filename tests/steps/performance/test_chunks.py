@@ -20,6 +20,8 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import COVERAGE_TOLERANCE, SAMPLE_TOLERANCE_MM
 from usdface.usdio.validation import validate
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 
 def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)

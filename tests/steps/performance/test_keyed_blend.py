@@ -19,6 +19,8 @@ from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
 from usdface.steps.performance.map import predict_with_keyed_blend
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 
 @pytest.fixture(scope="module")
 def hybrid() -> tuple[SyntheticFace, TrainedMapping]:

@@ -20,6 +20,8 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 FLIP = np.array([-1.0, 1.0, 1.0])
 
 ONE_SIDED = 0.05

@@ -12,6 +12,7 @@ from usdface.core.assets import MeshShape
 from usdface.core.deformer import Deformer
 from usdface.core.sidecars import proposed_path
 from usdface.media.picture.image import read_picture
+from usdface.model.mapping import candidates
 from usdface.model.mapping.regions import skin_points
 from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
 from usdface.runner.execute import execute
@@ -25,6 +26,8 @@ from usdface.usdio.references.weight_layers import read_proposals
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take
+
+pytestmark = pytest.mark.usefixtures("without_comparison")
 
 
 def test_the_geometry_of_the_rig_takes_part_in_training(
@@ -150,6 +153,7 @@ def test_shapes_that_no_pair_has_are_named_if_markers_can_show_them(
 def test_a_rig_with_foreign_names_has_the_regions_and_the_gaze_of_the_same_rig_with_known_ones(
     finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(candidates, "MINIMUM_TO_COMPARE", 8)  # as calibrations are compared
     given = finished_shot / "hero.references.usda"
     pairs, rig = read_references(given), read_rig(finished_shot / "hero.usdc")
     made = execute(TrainSpec(references=given, out=tmp_path / "known.usdc", method="ridge"))

@@ -22,6 +22,8 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 COUNT = 12
 DRIVEN = (
     Combination("jaw_smile", ("jawOpen", "mouthSmileLeft")),

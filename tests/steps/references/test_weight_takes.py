@@ -30,6 +30,8 @@ from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 NAMES = ("jawOpen", "eyeBlink", "smile", "HeadYaw")
 
 
