@@ -64,6 +64,7 @@ def test_committed_reference_pages_are_those_of_the_code() -> None:
         assert (REFERENCE / name).read_text(encoding="utf-8") == text, "run `poe schemas`"
 
 
+@pytest.mark.usefixtures("without_comparison")
 def test_the_tutorial_runs_from_top_to_bottom(tmp_path: Path, monkeypatch, capsys) -> None:
     make_inputs(tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -127,6 +128,7 @@ def Scope "Cut"
 """A cut whose camera looks at the character."""
 
 
+@pytest.mark.usefixtures("without_comparison")
 def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
     (shot / "cut010.usda").write_text(CUT, encoding="utf-8")

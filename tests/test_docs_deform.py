@@ -12,6 +12,7 @@ from usdface.usdio.take.write import write_take
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "deform.md"
 
 
+@pytest.mark.usefixtures("without_comparison")
 def test_the_page_on_any_mesh_runs_from_top_to_bottom(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
