@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,13 @@ from tests.model.synthetic import skin_samples
 from tests.numerics.simulated_face import hold_head
 from tests.remembered import coarse_face_skin
 from usdface.capture.sniff import read_capture
+from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.label_hints import side_of_label, skin_motion_mm
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
-from usdface.model.placement.place import place_markers
+from usdface.model.placement.place import MarkerPlacement, place_markers
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.rigid.stabilization import stabilize_by_prior
@@ -29,9 +31,21 @@ def skin_of(rig) -> FaceSkin:
     return sample_face_skin(deformer.neutral, deformer.triangles, deformer.shapes.target_offsets())
 
 
+@cache
+def head_of(file: Path) -> tuple[Rig, FaceSkin]:
+    rig = read_rig(file)
+    return rig, skin_of(rig)
+
+
 @pytest.fixture(scope="module")
 def demo():
     rig = demo_rig()
+    return rig, skin_of(rig)
+
+
+@pytest.fixture(scope="module")
+def actor():
+    rig = demo_rig(ACTOR)
     return rig, skin_of(rig)
 
 
@@ -58,11 +72,11 @@ def test_landmarks_of_a_face_stand_in_the_order_of_a_face(demo) -> None:
 
 @pytest.mark.fixtures("rigs")
 @pytest.mark.parametrize("name", ["facecap_head", "ict_face", "demo_character"])
-def test_the_mouth_is_where_a_person_sees_it(shared_data: Path, name: str) -> None:
+def test_the_mouth_is_where_a_person_sees_it(shared_data: Path, demo, name: str) -> None:
     seen = json.loads((shared_data / "rigs" / "landmarks.json").read_text("utf-8"))[name]
     own = name == "demo_character"
-    rig = demo_rig() if own else read_rig(shared_data / "rigs" / f"{name}.usdc")
-    found = find_landmarks(skin_of(rig), rig.shapes)
+    rig, skin = demo if own else head_of(shared_data / "rigs" / f"{name}.usdc")
+    found = find_landmarks(skin, rig.shapes)
     for corner in ("mouth_L", "mouth_R"):
         np.testing.assert_allclose(found[corner][:2], seen[corner], atol=2.5)
 
@@ -127,10 +141,9 @@ def test_an_eye_of_a_coarse_lid_is_found(demo) -> None:
 @pytest.mark.parametrize("head", ["demo", "actor", "facecap_head", "ict_face"])
 def test_a_mouth_whose_jaw_is_a_joint_is_found_from_its_lips(request, head: str) -> None:
     if head in ("demo", "actor"):
-        rig = demo_rig() if head == "demo" else demo_rig(ACTOR)
+        rig, skin = request.getfixturevalue(head)
     else:
-        rig = read_rig(request.getfixturevalue("shared_data") / "rigs" / f"{head}.usdc")
-    skin = skin_of(rig)
+        rig, skin = head_of(request.getfixturevalue("shared_data") / "rigs" / f"{head}.usdc")
     kept = [i for i, name in enumerate(rig.shapes) if not name.startswith(("jaw", "mouthClose"))]
     names = tuple(rig.shapes[i] for i in kept)
     found = find_landmarks(replace(skin, deltas=skin.deltas[kept]), names)
@@ -138,9 +151,9 @@ def test_a_mouth_whose_jaw_is_a_joint_is_found_from_its_lips(request, head: str)
         assert np.linalg.norm(found[name] - place) < 8, name
 
 
-def test_lips_do_not_lie_on_the_nose() -> None:
-    rig = demo_rig(ACTOR)
-    found = find_landmarks(skin_of(rig), rig.shapes)
+def test_lips_do_not_lie_on_the_nose(actor) -> None:
+    rig, skin = actor
+    found = find_landmarks(skin, rig.shapes)
     assert found["lip_upper"][1] - found["mouth_middle"][1] < 15
 
 
@@ -230,9 +243,10 @@ def numbered_labels(skin: FaceSkin, shapes, at) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> None:
+@pytest.mark.usefixtures("placed_once")
+def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(coarse_demo) -> None:
     """Nine markers of a brow are not at one landmark: the cloud keeps its size."""
-    rig, skin = demo
+    rig, skin = coarse_demo
     rng = np.random.default_rng(6)
     moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
     chosen = rng.choice(moving, 60, replace=False)
@@ -251,6 +265,7 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> Non
     assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.1 * 0.95), rel=0.08)
 
 
+@pytest.mark.usefixtures("placed_once")
 def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(coarse_demo) -> None:
     rig, skin = coarse_demo
     rng = np.random.default_rng(0)
@@ -279,6 +294,7 @@ def test_a_place_that_a_person_gave_is_kept(demo) -> None:
 FEATURES = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_R": "Mouth_Rend"}
 
 
+@cache
 def recorded_cloud(shared_data, take: str) -> MarkerCloud:
     """Return a recorded take's markers, its head held still."""
     markers = read_capture(shared_data / "markers_animface" / f"{take}.c3d").take.markers
@@ -293,17 +309,22 @@ def recorded_cloud(shared_data, take: str) -> MarkerCloud:
     return marker_cloud(markers.names, still[0], still)
 
 
+@cache
+def recorded_placement(shared_data, take: str, head: str) -> MarkerPlacement:
+    rig, skin = head_of(shared_data / "rigs" / f"{head}.usdc")
+    return place_markers(recorded_cloud(shared_data, take), skin, rig.shapes)
+
+
 @pytest.mark.parametrize("take", ["CheeksMoCap", "EyebrowsMoCap"])
 @pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
 def test_a_recorded_performer_sits_where_he_does_if_the_jaw_is_a_joint(
     shared_data, head: str, take: str
 ) -> None:
     cloud = recorded_cloud(shared_data, take)
-    rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
-    skin = skin_of(rig)
+    rig, skin = head_of(shared_data / "rigs" / f"{head}.usdc")
     kept = [i for i, name in enumerate(rig.shapes) if not name.startswith(("jaw", "mouthClose"))]
     without = replace(skin, deltas=skin.deltas[kept])
-    placed = place_markers(cloud, skin, rig.shapes)
+    placed = recorded_placement(shared_data, take, head)
     joint = place_markers(cloud, without, tuple(rig.shapes[i] for i in kept))
     away = np.linalg.norm(
         skin.positions[skin_samples(skin, placed.virtual)]
@@ -318,9 +339,8 @@ def test_a_recorded_performer_sits_where_he_does_if_the_jaw_is_a_joint(
 @pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
 def test_a_recorded_performer_sits_right_on_any_head(shared_data, head: str, take: str) -> None:
     cloud = recorded_cloud(shared_data, take)
-    rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
-    skin = skin_of(rig)
-    placed = place_markers(cloud, skin, rig.shapes)
+    _, skin = head_of(shared_data / "rigs" / f"{head}.usdc")
+    placed = recorded_placement(shared_data, take, head)
     at = dict(zip(cloud.labels, skin.positions[skin_samples(skin, placed.virtual)], strict=True))
     picked = json.loads((shared_data / "rigs" / "landmarks.json").read_text())[head]
     away = {name: np.hypot(*(at[label][:2] - picked[name])) for name, label in FEATURES.items()}
@@ -346,8 +366,7 @@ def test_labels_place_markers_of_one_side(shared_data, head: str) -> None:
         neutral=0,
     )
     still = hold_head(markers.positions[:, kept], motion).astype(float)
-    rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
-    skin = skin_of(rig)
+    rig, skin = head_of(shared_data / "rigs" / f"{head}.usdc")
     placed = place_markers(marker_cloud(names, still[0], still), skin, rig.shapes)
     at = dict(zip(names, skin.positions[skin_samples(skin, placed.virtual)], strict=True))
     picked = json.loads((shared_data / "rigs" / "landmarks.json").read_text())[head]
