@@ -13,6 +13,8 @@ from usdface.model.mapping.performer_face import face_of_mapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 
 def trained() -> TrainedMapping:
     face = synthetic_face()

@@ -21,6 +21,8 @@ from usdface.model.mapping.take_neutral import find_take_offsets
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.forward_model import fit_forward_model
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 MADE, OTHER = synthetic_face(noise=0.05), synthetic_face(noise=0.05, seed=4)
 CHOSEN = np.arange(0, 1200, 60)
 PAIRS, TAKE = 2 * len(CHOSEN), np.repeat([0, 1], len(CHOSEN))

@@ -17,6 +17,8 @@ from usdface.model.regressions import face_map, frame_solve
 from usdface.model.regressions.base import Choices, RestPlaces
 from usdface.model.regressions.bent_weights import bend, unbend, unbend_slope
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 CHOSEN = np.arange(0, 1200, 30)
 
 

@@ -10,6 +10,8 @@ from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, hybrid, kernel_cca, multiquadric
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 CHOSEN = np.arange(0, 1200, 30)
 PEERS = ("multiquadric", "kernel_cca", "hybrid")
 

@@ -12,6 +12,8 @@ from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.shape_sides import ShapeSides
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 RANGES = np.array([[0.0, 1.0], [-1.0, 1.0], [-0.5, 0.0], [-2.0, 1.0]])
 
 

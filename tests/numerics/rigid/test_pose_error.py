@@ -20,6 +20,8 @@ from usdface.model.mapping.train import train_mapping
 from usdface.numerics.rigid import pose_error
 from usdface.numerics.rigid.pose_error import ExpressionMotion, expression_motion
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 SHAPES, MARKERS, FRAMES = 8, 30, 400
 BAND = np.arange(26, MARKERS)
 """Markers that no shape moves."""
