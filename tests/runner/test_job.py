@@ -200,7 +200,11 @@ def test_folders_that_are_not_there_are_named_once_with_the_remedy(shot: Shot) -
     assert str(no.value).count("new") == 1
 
 
-def test_a_job_that_failed_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None:
+def test_a_job_that_failed_goes_on_where_it_stopped_and_gives_the_same_bytes(
+    shot: Shot, monkeypatch
+) -> None:
+    names = ["shot.hero.weights.usdc", "hero.mapping.usdc", "shot.sheet.jpg"]
+    before = {name: (shot / name).read_bytes() for name in names}
     for name in ("hero.mapping.usdc", "shot.hero.usda", "shot.hero.weights.usdc"):
         (shot / name).unlink()
     kept = (shot / "hero.usdc").rename(shot / "away.usdc")
@@ -208,6 +212,9 @@ def test_a_job_that_failed_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> 
         run_job(read_job(shot / "shot.job.yaml"))
     kept.rename(shot / "hero.usdc")
     assert ran(shot, monkeypatch) == ["train", "map"]  # the same bytes: the sheet is up to date
+    (shot / "shot.sheet.jpg").unlink()
+    assert ran(shot, monkeypatch) == ["sheet"]
+    assert {name: (shot / name).read_bytes() for name in names} == before
 
 
 @pytest.mark.parametrize("name", ["hero.references.tuned.usda", "hero.mapping.usdc"])
@@ -258,15 +265,6 @@ def test_checking_names_every_file_that_is_missing(shot: Shot) -> None:
     (shot / "keys.csv").unlink()
     with pytest.raises(InputError, match=r"shot\.c3d: no such file.*\n.*keys\.csv: no such file"):
         job_states(read_job(shot / "shot.job.yaml"))
-
-
-def test_running_twice_gives_the_same_bytes(shot: Shot, monkeypatch) -> None:
-    names = ["shot.hero.weights.usdc", "hero.mapping.usdc", "shot.sheet.jpg"]
-    before = {name: (shot / name).read_bytes() for name in names}
-    for name in ("hero.mapping.usdc", "shot.hero.usda", "shot.hero.weights.usdc", "shot.sheet.jpg"):
-        (shot / name).unlink()
-    assert ran(shot, monkeypatch) == ["train", "map", "sheet"]
-    assert {name: (shot / name).read_bytes() for name in names} == before
 
 
 @pytest.mark.parametrize(
