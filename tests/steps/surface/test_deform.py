@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.model.surface.mouth import make_mouth
@@ -27,15 +26,11 @@ from usdface.model.surface.distance import surface_distances
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.surface.surface_places import places_at_points
 from usdface.runner.execute import execute
-from usdface.runner.job import run_job
 from usdface.runner.result import StepResult
-from usdface.runner.state import job_states
 from usdface.specs.base import Spec
-from usdface.specs.reading import read_job
 from usdface.specs.references import SelectSpec
 from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
 from usdface.steps.surface import picture, plan
-from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import read_binding
@@ -226,48 +221,6 @@ def test_distances_are_kept_by_the_hash_of_the_surface_and_read_again(
     kept[0].write_bytes(b"torn")
     run(deform(folder))
     np.testing.assert_array_equal(points_at(folder / "talk.scan.usda", FIRST + 9), before)
-
-
-def test_a_scan_without_a_rig_becomes_an_animated_face_in_one_job(folder: Path, scan: Scan) -> None:
-    mesh = {"take": "talk.take.usda", "mesh": "scan.usdc"}
-    rig = {"rig": "job.rig.usda"}
-    steps = [
-        {"step": "bind", **mesh, "out": "job.binding.usda", "landmarks": list(landmarks(scan))},
-        {
-            "step": "make-shapes",
-            **mesh,
-            "binding": "job.binding.usda",
-            "count": 4,
-            "out": "job.rig.usda",
-        },
-        {
-            "step": "select",
-            "takes": ["talk.take.usda"],
-            **rig,
-            "count": 16,
-            "out": "job.references.usda",
-        },
-        {
-            "step": "train",
-            "references": "job.references.usda",
-            "method": "ridge",
-            "out": "job.mapping.usdc",
-        },
-        {
-            "step": "map",
-            "take": "talk.take.usda",
-            "mapping": "job.mapping.usdc",
-            **rig,
-            "out": "job.acted.usda",
-        },
-    ]
-    job = folder / "scan.job.yaml"
-    job.write_text(yaml.safe_dump({"job": "scan", "steps": steps}), encoding="utf-8")
-    run_job(read_job(job))
-    weights = read_performance(folder / "job.acted.usda").weights.values
-    assert weights.shape == (FRAMES, 4)
-    assert weights.max() > 0.8
-    assert {state.state for state in job_states(read_job(job))} == {"done"}
 
 
 def test_a_shape_at_one_is_the_frame_it_was_made_of(folder: Path) -> None:
