@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.specs.job import STEP_SPECS
 from usdface.specs.reading import read_job
 
-COUNT = int(os.environ.get("USDFACE_MUTATED_JOBS", "150"))
+COUNT = int(os.environ.get("USDFACE_MUTATED_JOBS", "75"))
 JOB: dict[str, Any] = {
     "job": "day",
     "takes": ["a", {"take": "b", "neutral": 88}],

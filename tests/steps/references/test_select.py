@@ -91,13 +91,9 @@ def test_both_gives_half_to_visemes_and_design_says_what_it_measured(shot: Shot)
     assert set(design.figures["visemes"]) == {""}
 
 
-def test_without_phones_both_says_that_it_designs(shot: Shot) -> None:
-    report = execute(spec(shot))
-    assert any("no phones are given" in note for note in report.notes)
-
-
 def test_coverage_is_told_and_drawn_beside(shot: Shot) -> None:
     report = execute(spec(shot))
+    assert any("no phones are given" in note for note in report.notes), "both designs then"
     assert 0.5 < report.figures["coverage"] < 1.0
     assert set(report.figures["coverage_by_region"]) >= {"lids", "jaw", "mouth"}
     assert len(report.figures["growth"]) == 13
@@ -107,16 +103,13 @@ def test_coverage_is_told_and_drawn_beside(shot: Shot) -> None:
     assert read_image_metadata(picture)["step"] == "select"
     more = execute(spec(shot, count=24), overwrite=True)
     assert more.figures["coverage"] > report.figures["coverage"]
-
-
-def test_names_that_say_nothing_leave_the_coverage_of_all_regions(shot: Shot) -> None:
-    named = execute(spec(shot)).figures["coverage_by_region"]
+    # Names that say nothing leave the coverage of all regions.
     rig = other_rig(shot, "Form_{number}")
-    report = execute(spec(shot, rig=rig, out=shot / "foreign.references.usda"))
-    found = report.figures["coverage_by_region"]
-    assert found.keys() == named.keys()
+    foreign = execute(spec(shot, rig=rig, out=shot / "foreign.references.usda"))
+    found = foreign.figures["coverage_by_region"]
+    assert found.keys() == report.figures["coverage_by_region"].keys()
     assert set(found) == set(REGIONS)
-    assert not any("is known to move" in note for note in report.notes)
+    assert not any("is known to move" in note for note in foreign.notes)
 
 
 def test_more_pairs_keep_what_is_tuned_and_start_from_the_mapping(shot: Shot) -> None:

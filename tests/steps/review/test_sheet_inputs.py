@@ -82,6 +82,7 @@ def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
                 mapping=shot / "hero.mapping.usdc",
                 rig=shot / "hero.usdc",
                 out=shot / name,
+                frames="1-120",
             ),
             overwrite=True,
         )
@@ -113,7 +114,8 @@ def test_several_threads_draw_the_sheet_that_one_draws(shot: Shot, monkeypatch) 
     def draw(cores: int) -> bytes:
         monkeypatch.setattr("usdface.steps.review.sheet.usable_cores", lambda: cores)
         out = shot / f"{cores}.png"
-        execute(SheetSpec(performance=shot / "shot.hero.usda", out=out, rows=5, tile=64))
+        given = {"performance": shot / "shot.hero.usda", "rows": 5, "tile": 64, "quality": "draft"}
+        execute(SheetSpec(**given, out=out))
         return read_picture(out).tobytes()
 
     assert draw(2) == draw(1)
