@@ -7,6 +7,7 @@ import pytest
 from tests.small_scan import small_scan, small_scan_take, write_scan
 from tests.test_docs import commands, run
 from usdface.core.provenance import Provenance
+from usdface.media.picture.image import read_image_metadata
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.take.write import write_take
 
@@ -28,6 +29,7 @@ def test_the_page_on_any_mesh_runs_from_top_to_bottom(
         assert run(line + draft) == 0, f"{line}\n{capsys.readouterr()}"
     for name in ("scan.binding.jpg", "talk.scan.jpg", "talk.acted.usda"):
         assert (tmp_path / name).is_file()
+    assert read_image_metadata(tmp_path / "talk.scan.jpg")["step"] == "deform"
     weights = read_performance(tmp_path / "talk.acted.usda").weights.values
     assert weights.shape[1] == 6
     assert weights.max() > 0.8, "the scan acts"

@@ -21,7 +21,6 @@ from tests.small_scan import (
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path
-from usdface.media.picture.image import read_image_metadata
 from usdface.model.surface.distance import surface_distances
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.surface.surface_places import places_at_points
@@ -30,6 +29,8 @@ from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.references import SelectSpec
 from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
+from usdface.steps.inputs import coverage_report
+from usdface.steps.references import select
 from usdface.steps.surface import picture, plan
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
@@ -266,15 +267,19 @@ def test_shapes_are_named_from_a_csv(folder: Path) -> None:
     assert read_rig(folder / "scan.rig.usda").shapes == ("smile", "smile_2")
 
 
-def test_shapes_are_made_of_the_references_of_a_take(folder: Path) -> None:
+def test_shapes_are_made_of_the_references_of_a_take(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module, name in ((select, "draw_placement"), (coverage_report, "draw_coverage")):
+        monkeypatch.setattr(module, name, lambda *given, **named: np.zeros((8, 8, 3), np.uint8))
     run(make_shapes(folder, count=3))
-    select = SelectSpec(
+    chosen = SelectSpec(
         takes=(folder / "talk.take.usda",),
         rig=folder / "scan.rig.usda",
         count=5,
         out=folder / "scan.references.usda",
     )
-    run(select)
+    run(chosen)
     references = Usd.Stage.Open(str(folder / "scan.references.usda"))
     frame = references.GetAttributeAtPath("/References.face:reference:frame")
     frames = sorted(frame.Get(time) for time in frame.GetTimeSamples())
@@ -308,12 +313,6 @@ def test_corrections_by_hand_outlive_binding_again(folder: Path, scan: Scan) -> 
     assert left not in binding.names
     assert report.figures["corrected"] == [moved, pointed]
     assert report.figures["left_out"] == [left]
-
-
-def test_a_picture_compares_the_ways_of_measuring(folder: Path) -> None:
-    run(deform(folder, picture=folder / "moving.png", rows=1, quality="draft"))
-    metadata = read_image_metadata(folder / "moving.png")
-    assert metadata["step"] == "deform"
 
 
 def test_the_paper_s_choices_are_options_and_the_sampler_says_how_it_did(
