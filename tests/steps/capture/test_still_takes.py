@@ -74,20 +74,13 @@ def test_a_still_face_is_cleaned_with_words_and_its_pairs_are_refused(
     assert not out.exists()
 
 
-def test_a_face_that_moves_is_not_called_still(shot: Shot) -> None:
-    report = execute(CleanSpec(take=shot / "shot.take.usda", out=shot / "again.take.usda"))
-    assert not any("no marker moves" in note for note in report.notes)
-
-
 @pytest.mark.parametrize(
     ("columns", "seconds"),
     [
         (slice(None), 0.02),  # one dropped frame
         (slice(None), 0.25),
-        (slice(None), 1.0),
         (slice(None), 2.2),  # more than half of the take
         (slice(3, 5), 0.07),  # a short gap that was filled
-        (slice(3, 5), 0.25),
         (slice(3, 5), 1.0),
     ],
 )
@@ -110,6 +103,7 @@ def test_markers_of_a_stream_that_froze_are_taken_for_unseen(
     first = take.first_frame + 201
     said = f"exactly one position for {count} frames ({first}-{first + count - 1}): {who}"
     assert any(said in note for note in notes)
+    assert not any("no marker moves" in note for note in notes), "the face moves before"
     cleaned = read_take(out).markers
     assert cleaned is not None
     assert not cleaned.visible[201 : 201 + count, columns].any()
