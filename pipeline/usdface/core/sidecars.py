@@ -79,8 +79,3 @@ def work_folder(out: Path, purpose: str) -> Path:
     """
     digest = hashlib.sha256(out.name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
     return out.with_name(f".{out.stem[:40]}.{digest}.{purpose}")
-
-
-def distances_path(output: Path, mesh_file: Path, surface_hash: str) -> Path:
-    """Return the cache of the distances over a surface, in the folder of a step's output."""
-    return output.with_name(f"{mesh_file.stem}.{surface_hash[:8]}.distances.usdc")

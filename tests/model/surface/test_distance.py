@@ -1,6 +1,6 @@
-"""Distances over a sheet: islands, packing, and meshes that cannot be."""
+"""Distances over a sheet: islands, and meshes that cannot be."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from tests.model.surface.mouth import Mouth
 from tests.numerics.surface.test_geodesic import quad_grid
 from usdface.core.errors import InputError
-from usdface.model.surface.distance import surface_distances, unpack_distances
+from usdface.model.surface.distance import surface_distances
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
 from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 
@@ -55,13 +55,6 @@ def test_the_markers_on_the_smaller_of_two_parts_are_named(mouth: Mouth) -> None
 
 def test_a_sheet_without_faults_has_nothing_to_report(mouth: Mouth) -> None:
     assert mouth.distances().unreached.describe([]) == ()
-
-
-def test_distances_are_unpacked_as_they_were_packed(mouth: Mouth) -> None:
-    distances = mouth.distances(metric="dijkstra-diagonals")
-    arrays, counts = distances.pack()
-    again = unpack_distances(mouth.points, mouth.places, arrays=arrays, counts=counts)
-    np.testing.assert_equal(asdict(again), asdict(distances))
 
 
 @pytest.mark.parametrize(

@@ -204,26 +204,6 @@ def test_the_moving_mesh_says_its_timing_and_passes_the_validators(folder: Path)
     assert not validate(folder / "talk.scan.usda")
 
 
-def test_distances_are_kept_by_the_hash_of_the_surface_and_read_again(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept = list(folder.glob("scan.*.distances.usdc"))
-    assert [path.name for path in kept] == [
-        f"scan.{read_face_mesh(folder / 'scan.usdc').hash[:8]}.distances.usdc"
-    ]
-    before = points_at(folder / "talk.scan.usda", FIRST + 9)
-    monkeypatch.setattr(
-        "usdface.steps.surface.plan.surface_distances",
-        lambda *a, **k: pytest.fail("measured again"),
-    )
-    run(deform(folder))
-    np.testing.assert_array_equal(points_at(folder / "talk.scan.usda", FIRST + 9), before)
-    monkeypatch.undo()
-    kept[0].write_bytes(b"torn")
-    run(deform(folder))
-    np.testing.assert_array_equal(points_at(folder / "talk.scan.usda", FIRST + 9), before)
-
-
 def test_a_shape_at_one_is_the_frame_it_was_made_of(folder: Path) -> None:
     run(deform(folder, reach=12.0))
     run(

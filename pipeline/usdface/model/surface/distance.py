@@ -1,6 +1,6 @@
 """Geodesic and Euclidean distances from markers to every point of a mesh."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,6 @@ from usdface.numerics.surface.surface_places import SurfacePoints
 
 BLEND_PUBLISHED = 0.39
 """Share of the geodesic distance with the smallest error in W06 (section 5, Fig. 6) [0-1]."""
-
-CacheArray = FloatArray | Float32Array | BoolArray
 
 
 @dataclass(frozen=True)
@@ -88,24 +86,6 @@ class SurfaceDistances:
         """``w * geodesic + (1 - w) * Euclidean`` between markers: (M, M) float array [mm]."""
         return np.asarray(weight * self.geodesic_between + (1 - weight) * self.euclidean_between)
 
-    def pack(self) -> tuple[dict[str, CacheArray], dict[str, int]]:
-        """Return arrays and counts for a cache, by name; see `unpack_distances`."""
-        faults = self.unreached.faults
-        arrays: dict[str, CacheArray] = {
-            "geodesicToPoints": self.geodesic_to_points,
-            "geodesicBetween": self.geodesic_between,
-            "euclideanToPoints": self.euclidean_to_points,
-            "euclideanBetween": self.euclidean_between,
-            "unreached": self.unreached.points,
-            "apart": self.unreached.apart,
-        }
-        return arrays, {
-            "islands": self.unreached.islands,
-            "islandsWithoutMarker": self.unreached.islands_without_marker,
-            "nonmanifoldEdges": faults.nonmanifold_edges,
-            "degenerateFaces": faults.degenerate_faces,
-        }
-
     def scaled(self, positions: FloatArray | Float32Array) -> FloatArray:
         """Centre positions on the markers, and scale by the markers' standard deviation."""
         centre = self.marker_positions.mean(axis=0)
@@ -167,36 +147,5 @@ def surface_distances(
             islands=islands,
             islands_without_marker=islands - len(np.unique(of_markers)),
             faults=found.faults,
-        ),
-    )
-
-
-def unpack_distances(
-    points: FloatArray,
-    markers: SurfacePoints,
-    *,
-    arrays: Mapping[str, CacheArray],
-    counts: Mapping[str, int],
-) -> SurfaceDistances:
-    """Return the distances packed by `SurfaceDistances.pack`, of the same mesh and markers.
-
-    Parameters
-    ----------
-    points : (N, 3) float array
-        The mesh at rest [mm].
-    """
-    return SurfaceDistances(
-        points=points.astype(np.float32),
-        marker_positions=markers.positions(points),
-        geodesic_to_points=arrays["geodesicToPoints"].astype(np.float32),
-        geodesic_between=arrays["geodesicBetween"].astype(np.float64),
-        euclidean_to_points=arrays["euclideanToPoints"].astype(np.float32),
-        euclidean_between=arrays["euclideanBetween"].astype(np.float64),
-        unreached=UnreachedReport(
-            points=arrays["unreached"].astype(np.bool_),
-            apart=arrays["apart"].astype(np.bool_),
-            islands=counts["islands"],
-            islands_without_marker=counts["islandsWithoutMarker"],
-            faults=MeshFaults(counts["nonmanifoldEdges"], counts["degenerateFaces"]),
         ),
     )

@@ -29,7 +29,7 @@ def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress) -> Step
     """Deform the mesh at every frame of the take, and write its points."""
     take = TakeReader(spec.take)
     first, last = take.frames_within(frame_range(spec.frames))
-    plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.2))
+    plan = plan_surface(spec, take, progress=part(progress, 0.0, 0.2))
     face = plan.face
     turner = _normal_turner(face)
     uncertain = spec.uncertainty and spec.method == "gp"

@@ -118,7 +118,7 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress) -> 
     """Choose frames, deform the mesh, and write the rig."""
     take = TakeReader(spec.take)
     given = given_frames(spec, take)
-    plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.6))
+    plan = plan_surface(spec, take, progress=part(progress, 0.0, 0.6))
     chosen = given or _choose_frames(spec, plan, take)
     progress(0.6, f"making {len(chosen)} shapes")
     moved = plan.deform(take, [each.frame for each in chosen])

@@ -10,12 +10,10 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, s
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, part
-from usdface.core.provenance import hash_text
-from usdface.core.sidecars import distances_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.selection.baseline import PerformerMarkers
 from usdface.model.surface.binding import UNCERTAIN_CONFIDENCE, propose_binding
-from usdface.model.surface.distance import SurfaceDistances, surface_distances, unpack_distances
+from usdface.model.surface.distance import SurfaceDistances, surface_distances
 from usdface.model.surface.fit import SurfaceModel, SurfaceMotion
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
 from usdface.model.surface.rbf_surface import fit_rbf_surface
@@ -37,7 +35,6 @@ from usdface.steps.inputs.placement import read_performer_markers
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import read_binding
-from usdface.usdio.surface.distance_cache import CachedDistances, read_distances, write_distances
 from usdface.usdio.take.read import TakeReader
 
 _REACH_SPACINGS = 4.0
@@ -159,10 +156,8 @@ class SurfacePlan:
             yield SurfaceMotion(moved.mean * self.fade, moved.sd)
 
 
-def plan_surface(
-    spec: SurfaceSpec, take: TakeReader, *, out: Path, progress: Progress
-) -> SurfacePlan:
-    """Read mesh and take, bind, measure distances (cached next to `out`) and fit the model."""
+def plan_surface(spec: SurfaceSpec, take: TakeReader, *, progress: Progress) -> SurfacePlan:
+    """Read mesh and take, bind, measure distances and fit the model."""
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
     sample = read_performer_markers(take, spread_frames(take, PLAN_FRAMES))
     progress(0.1, "placing the markers")
@@ -187,16 +182,17 @@ def plan_surface(
             weight=binding.confidence[bound],
         )
     progress(0.3, "measuring distances over the mesh")
-    distances = _distances(spec, face, places, out, part(progress, 0.3, 0.6))
+    distances = surface_distances(
+        face.mesh.points,
+        face.mesh.face_counts,
+        face.mesh.face_indices,
+        places,
+        metric=spec.metric,
+        progress=part(progress, 0.3, 0.6),
+    )
     names = [sample.labels[column] for column in columns.tolist()]
     notes.extend(distances.unreached.describe(names))
-    coinciding = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
-    if coinciding:
-        listed = first_few([f"{names[i]} and {names[j]}" for i, j in coinciding])
-        words = f"at one place of the mesh: {listed}; leave one of them out"
-        if spec.method == "rbf":  # it interpolates every marker
-            raise InputError(f"{spec.mesh}: {words}")
-        notes.append(words)
+    notes.extend(_coincidence_notes(spec, distances, names))
     progress(0.6, "fitting the regression")
     seen = sample.visible[:, columns]
     notes.extend(_unseen_notes(names, seen))
@@ -303,6 +299,20 @@ def _bind(
     return binding, notes
 
 
+def _coincidence_notes(
+    spec: SurfaceSpec, distances: SurfaceDistances, names: list[str]
+) -> list[str]:
+    """Return a note on markers at one place; refuse them if every marker is interpolated."""
+    pairs = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
+    if not pairs:
+        return []
+    listed = first_few([f"{names[i]} and {names[j]}" for i, j in pairs])
+    words = f"at one place of the mesh: {listed}; leave one of them out"
+    if spec.method == "rbf":
+        raise InputError(f"{spec.mesh}: {words}")
+    return [words]
+
+
 def _unseen_notes(names: list[str], seen: BoolArray) -> list[str]:
     """Return a note on markers without a position in some frames of the sample."""
     missing = 1 - seen.mean(axis=0)
@@ -323,26 +333,3 @@ def _fade(distances: SurfaceDistances, reach: float | None) -> Float32Array:
         reach = _REACH_SPACINGS * float(np.sqrt((nearest_other**2).mean()))
     nearest = distances.geodesic_to_points.min(axis=0)
     return np.asarray(smoothstep(2 - nearest / np.float32(reach / 2))[:, None], np.float32)
-
-
-def _distances(
-    spec: SurfaceSpec, face: FaceMesh, places: SurfacePoints, out: Path, progress: Progress
-) -> SurfaceDistances:
-    mesh = face.mesh
-    numbers = (places.faces.tolist(), places.corners.tolist(), places.weights.round(7).tolist())
-    key = hash_text(f"{face.hash} {spec.metric} {numbers} joined apart")
-    path = distances_path(out, face.file, face.hash)
-    cached = read_distances(path, key=key)
-    if cached is not None:
-        return unpack_distances(mesh.points, places, arrays=cached.arrays, counts=cached.counts)
-    found = surface_distances(
-        mesh.points,
-        mesh.face_counts,
-        mesh.face_indices,
-        places,
-        metric=spec.metric,
-        progress=progress,
-    )
-    arrays, counts = found.pack()
-    write_distances(path, CachedDistances(arrays, counts), key=key)
-    return found
