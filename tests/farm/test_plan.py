@@ -147,6 +147,8 @@ def test_a_video_is_looked_at_in_parts_and_the_take_is_made_of_them() -> None:
     assert [part.frames for part in parts] == ["1-500", "501-1000", "1001-1200"]
     assert all(part.part and not part.performer for part in parts)
     assert take == step.model_copy(update={"parts": tuple(part.out for part in parts)})
+    several = step.model_copy(update={"views": (Path("/s/y.mp4"),), "calibration": Path("/s/c")})
+    assert in_chunks(several, ChunkSizes(map=1000, track=500), (1, 1200)) == [several]
     assert in_chunks(step, ChunkSizes(map=1000), (1, 1200)) == [step]
     assert in_chunks(step, ChunkSizes(map=1000, track=500), (1, 500)) == [step]
 

@@ -53,7 +53,7 @@ def in_chunks(
         size = sizes.map
     elif isinstance(step, MovieSpec):
         size = None if step.sound and take is None else sizes.movie
-    elif isinstance(step, TrackSpec) and not (step.part or step.parts):
+    elif isinstance(step, TrackSpec) and not (step.part or step.parts or step.views):
         size = sizes.track
     chunks = [] if frames is None or size is None else _chunks(frames, size)
     if len(chunks) < 2 or not isinstance(step, MapSpec | MovieSpec | TrackSpec):

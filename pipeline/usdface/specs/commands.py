@@ -69,7 +69,8 @@ class SubmitSpec(Spec):
     movie_chunk: Annotated[int, Field(ge=24)] | None = None
     """Frames of the take per movie task. Default: the whole movie."""
     track_chunk: Annotated[int, Field(ge=24)] | None = None
-    """Frames of a video per tracking task. Default: the whole video."""
+    """Frames of a video per tracking task. Default: the whole video. Videos of several cameras are
+    not split."""
     priority: Annotated[int, Field(ge=0, le=100)] | None = None
     """Priority of the job. Default: the farm's."""
     write_only: bool = False
