@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from usdface.core.errors import InputError
 from usdface.farm.bundle import FIRST_LINE, bundle_hash, compose_bundle, write_bundle
-from usdface.farm.plan import ChunkSizes, FarmStep, plan_job
+from usdface.farm.plan import FarmStep, plan_job
 from usdface.farm.submit import submit
 from usdface.specs.capture import CleanSpec
 from usdface.specs.commands import SubmitSpec
@@ -40,7 +40,7 @@ HOSTILE = [
 def plan(take: str, job: str = "j") -> tuple[FarmStep, ...]:
     spec = CleanSpec(take=Path(f"/s/{take}"), out=Path(f"/s/{take}.out.usda"))
     found = plan_job(
-        JobSpec(job=job, steps=(spec,)), sizes=ChunkSizes(map=100), frames_of=lambda path: None
+        JobSpec(job=job, steps=(spec,)), SubmitSpec(job=Path("j.yaml")), frames_of=lambda path: None
     )
     return found.steps
 

@@ -159,7 +159,7 @@ def test_deadline_is_called_with_a_list_of_arguments(job: Path, tmp_path, monkey
 def test_deadline_is_told_the_folders_that_the_job_names_and_no_more(tmp_path: Path) -> None:
     def step(performance: str, out: str) -> FarmStep:
         task = BakeSpec(performance=Path(performance), out=Path(out))
-        return FarmStep("bake", "bake", (task,), ())
+        return FarmStep("bake", (task,), ())
 
     steps = [step("/show/a/x.usda", "/show/a/b/y.usda"), step("/top.usda", "/show/ab/z.usda")]
     assert named_folders(steps) == [Path("/show/a"), Path("/show/ab")]

@@ -9,15 +9,16 @@ from hypothesis import strategies as st
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import parts_folder
-from usdface.farm.plan import ChunkSizes, FarmStep, Plan, in_chunks, plan_job
+from usdface.farm.plan import FarmStep, Plan, in_chunks, plan_job
 from usdface.specs.base import Spec
 from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, TrackSpec
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, frame_range
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec, SheetSpec
 
-SIZES = ChunkSizes(map=1000, movie=500)
+SIZES = SubmitSpec(job=Path("/s/j.yaml"), chunk=1000, movie_chunk=500)
 
 
 def mapped(frames: str | None = None, name: str = "x", chunk: int | None = None) -> MapSpec:
@@ -33,7 +34,7 @@ def mapped(frames: str | None = None, name: str = "x", chunk: int | None = None)
 
 def plan(*steps: Spec, there: dict[str, tuple[int, int]] | None = None) -> Plan:
     known = {Path(path): frames for path, frames in (there or {}).items()}
-    return plan_job(JobSpec(job="j", steps=steps), sizes=SIZES, frames_of=known.get)
+    return plan_job(JobSpec(job="j", steps=steps), SIZES, frames_of=known.get)
 
 
 def shape(found: Plan) -> dict[str, tuple[int, tuple[str, ...]]]:
@@ -102,7 +103,7 @@ def test_what_is_read_is_not_changed_meanwhile() -> None:
 @given(st.integers(-500, 10**6), st.integers(0, 5000), st.integers(1, 2000))
 def test_chunks_cover_every_frame_once(first: int, more: int, size: int) -> None:
     last = first + more
-    tasks = in_chunks(mapped(), ChunkSizes(map=size), (first, last))
+    tasks = in_chunks(mapped(), SIZES.model_copy(update={"chunk": size}), (first, last))
     if len(tasks) == 1:
         assert more < size
         assert tasks == [mapped()]
@@ -143,14 +144,15 @@ def test_a_performance_that_shall_lie_in_parts_is_joined_in_parts() -> None:
 
 def test_a_video_is_looked_at_in_parts_and_the_take_is_made_of_them() -> None:
     step = TrackSpec(video=Path("/s/x.mp4"), out=Path("/s/x.take.usda"), performer="Kim")
-    *parts, take = in_chunks(step, ChunkSizes(map=1000, track=500), (1, 1200))
+    tracked = SIZES.model_copy(update={"track_chunk": 500})
+    *parts, take = in_chunks(step, tracked, (1, 1200))
     assert [part.frames for part in parts] == ["1-500", "501-1000", "1001-1200"]
     assert all(part.part and not part.performer for part in parts)
     assert take == step.model_copy(update={"parts": tuple(part.out for part in parts)})
     several = step.model_copy(update={"views": (Path("/s/y.mp4"),), "calibration": Path("/s/c")})
-    assert in_chunks(several, ChunkSizes(map=1000, track=500), (1, 1200)) == [several]
-    assert in_chunks(step, ChunkSizes(map=1000), (1, 1200)) == [step]
-    assert in_chunks(step, ChunkSizes(map=1000, track=500), (1, 500)) == [step]
+    assert in_chunks(several, tracked, (1, 1200)) == [several]
+    assert in_chunks(step, SIZES, (1, 1200)) == [step]
+    assert in_chunks(step, tracked, (1, 500)) == [step]
 
 
 def test_a_movie_is_drawn_in_pieces_of_the_frames_that_will_be_mapped() -> None:

@@ -9,12 +9,13 @@ import pytest
 from tests.capture.simulated_faces import SimulatedFinder, turning_head
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.core.sidecars import parts_folder
-from usdface.farm.plan import ChunkSizes, in_chunks
+from usdface.farm.plan import in_chunks
 from usdface.media.film.movie import write_movie
 from usdface.runner.execute import execute
 from usdface.runner.state import frames_made, job_states
 from usdface.specs.base import Spec
 from usdface.specs.capture import TrackSpec
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
@@ -122,7 +123,8 @@ def test_a_video_tracked_in_parts_is_done_too(tmp_path: Path, monkeypatch) -> No
     write_movie(video, [np.zeros((96, 96, 3), np.uint8)] * 30, rate=24)
     model.write_bytes(b"")
     spec = TrackSpec(video=video, model=model, out=tmp_path / "x.take.usda", quality="draft")
-    for task in in_chunks(spec, ChunkSizes(map=1000, track=12), frames_made(spec)):
+    chunked = SubmitSpec(job=Path("j")).model_copy(update={"track_chunk": 12})
+    for task in in_chunks(spec, chunked, frames_made(spec)):
         if task.part:
             parts_folder(spec.out).mkdir(exist_ok=True)
         execute(task)

@@ -17,8 +17,6 @@ import yaml
 from usdface.core.errors import InputError
 from usdface.core.write_lock import write_lock
 from usdface.farm.plan import FarmStep
-from usdface.specs.base import Spec
-from usdface.specs.job import SPEC_BY_STEP
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import spec_text
 
@@ -74,7 +72,6 @@ def task_command(spec: str) -> list[str]:
 
 
 def _step(step: FarmStep) -> dict[str, Any]:
-    needs = SPEC_BY_STEP.get(step.kind, Spec)
     command, *arguments = task_command(
         f"{{{{Param.Tasks}}}}/{step.name}/{{{{Task.Param.Task}}}}.yaml"
     )
@@ -87,8 +84,8 @@ def _step(step: FarmStep) -> dict[str, Any]:
         "parameterSpace": {"taskParameterDefinitions": [task]},
         "hostRequirements": {
             "amounts": [
-                {"name": "amount.worker.vcpu", "min": needs.cores},
-                {"name": "amount.worker.memory", "min": needs.memory_mib},
+                {"name": "amount.worker.vcpu", "min": step.kind.cores},
+                {"name": "amount.worker.memory", "min": step.kind.memory_mib},
             ]
         },
         "script": {

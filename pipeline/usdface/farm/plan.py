@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import parts_folder
@@ -12,6 +11,7 @@ from usdface.runner.origin import existing_take
 from usdface.runner.state import frames_made
 from usdface.specs.base import Spec
 from usdface.specs.capture import TrackSpec
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads
 from usdface.specs.performance import JoinSpec, MapSpec
@@ -24,23 +24,10 @@ CHUNK_LIMIT = 10_000
 """Largest number of chunks of a step; a wrong frame number would make millions."""
 
 
-@dataclass(frozen=True)
-class ChunkSizes:
-    """Frames per task of each step."""
-
-    map: int
-    movie: int | None = None
-    """None: not split."""
-    track: int | None = None
-    """None: not split."""
-    clips: Literal["auto", "always", "never"] = "auto"
-    """Whether the parts of a performance are kept as value clips."""
-
-
 def in_chunks(
-    step: Spec, sizes: ChunkSizes, frames: FrameRange | None, *, take: Path | None = None
+    step: Spec, spec: SubmitSpec, frames: FrameRange | None, *, take: Path | None = None
 ) -> list[Spec]:
-    """Return the tasks of a step: the step itself, or its chunks and their join.
+    """Return the tasks of a step: the step itself, or its chunks by `spec` and their join.
 
     Boundaries depend on frames and size only, so that retries and repeated submissions make the
     same files.
@@ -50,18 +37,18 @@ def in_chunks(
     """
     size = None
     if isinstance(step, MapSpec):
-        size = sizes.map
+        size = spec.chunk
     elif isinstance(step, MovieSpec):
-        size = None if step.sound and take is None else sizes.movie
+        size = None if step.sound and take is None else spec.movie_chunk
     elif isinstance(step, TrackSpec) and not (step.part or step.parts or step.views):
-        size = sizes.track
+        size = spec.track_chunk
     chunks = [] if frames is None or size is None else _chunks(frames, size)
     if len(chunks) < 2 or not isinstance(step, MapSpec | MovieSpec | TrackSpec):
         return [step]
     names = _part_names(step.out, len(chunks))
     parts = [{"frames": text, "out": name} for text, name in zip(chunks, names, strict=True)]
     if isinstance(step, MapSpec):
-        clips = sizes.clips if step.chunk is None else "always"
+        clips = spec.clips if step.chunk is None else "always"
         mapped = [step.model_copy(update={**part, "chunk": None}) for part in parts]
         return [*mapped, JoinSpec(parts=names, out=step.out, clips=clips)]
     if isinstance(step, MovieSpec):
@@ -96,12 +83,15 @@ class FarmStep:
 
     name: str
     """Unique in the plan; letters, digits and hyphens only."""
-    kind: str
-    """Step of all tasks."""
     tasks: tuple[Spec, ...]
     """With absolute paths; each may run on another worker."""
     needs: tuple[str, ...]
     """Names of the farm steps it depends on."""
+
+    @property
+    def kind(self) -> type[Spec]:
+        """Kind of all tasks, which states the cores and the memory of each."""
+        return type(self.tasks[0])
 
 
 @dataclass(frozen=True)
@@ -115,9 +105,9 @@ class Plan:
 
 
 def plan_job(
-    job: JobSpec, *, sizes: ChunkSizes, frames_of: Callable[[Path], FrameRange | None]
+    job: JobSpec, spec: SubmitSpec, *, frames_of: Callable[[Path], FrameRange | None]
 ) -> Plan:
-    """Return the farm steps of a job.
+    """Return the farm steps of a job, split by `spec`.
 
     Tasks are grouped by step and by depth in the graph of dependencies, so that the same step of
     all takes is one farm step, whose tasks are independent.
@@ -129,7 +119,7 @@ def plan_job(
     frames_of : callable
         First and last frame of an existing take or performance; None if unknown.
     """
-    tasks, whole = _tasks(job, sizes, frames_of)
+    tasks, whole = _tasks(job, spec, frames_of)
     before = _tasks_before(tasks)
     depth: list[int] = []
     for earlier in before:
@@ -145,7 +135,6 @@ def plan_job(
         steps.append(
             FarmStep(
                 name,
-                tasks[members[name][0]].step,
                 tuple(tasks[index] for index in members[name]),
                 tuple(each for each in ordered if each in needed),
             )
@@ -154,7 +143,7 @@ def plan_job(
 
 
 def _tasks(
-    job: JobSpec, sizes: ChunkSizes, frames_of: Callable[[Path], FrameRange | None]
+    job: JobSpec, spec: SubmitSpec, frames_of: Callable[[Path], FrameRange | None]
 ) -> tuple[list[Spec], list[Path]]:
     made = {path for step in job.steps for path in step.changes()}
     ranges: dict[Path, FrameRange] = {}
@@ -182,7 +171,7 @@ def _tasks(
         if isinstance(step, MapSpec):
             takes |= dict.fromkeys(step.outputs(), step.take)
         take = known_take(step) if isinstance(step, MovieSpec) else None
-        tasks += in_chunks(step, sizes, frames, take=take)
+        tasks += in_chunks(step, spec, frames, take=take)
     return tasks, whole
 
 

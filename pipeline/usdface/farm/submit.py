@@ -25,16 +25,14 @@ from usdface.farm.bundle import (
     TASKS_FOLDER,
     TEMPLATE_FILE,
     bundle_hash,
-    check_job_name,
     compose_bundle,
     task_command,
     write_bundle,
 )
-from usdface.farm.plan import ChunkSizes, FarmStep, Plan, plan_job
+from usdface.farm.plan import FarmStep, Plan, plan_job
 from usdface.runner.outputs import missing_in_job
-from usdface.specs.base import Spec
 from usdface.specs.commands import SubmitSpec
-from usdface.specs.job import SPEC_BY_STEP, JobSpec
+from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import read_job
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
@@ -68,15 +66,14 @@ def build_outline(
     # Layers with frames outside the outline's range would be dropped silently.
     job = outline.Outline(name=_allowed(name), frame_range=f"1-{longest}")
     for step in steps:
-        needs = SPEC_BY_STEP.get(step.kind, Spec)
         spec = bundle.absolute() / TASKS_FOLDER / step.name / f"{_FRAME}.yaml"
         layer = shell.Shell(
             _allowed(step.name),
             command=[shlex.quote(word) for word in task_command(str(spec))],
             range=f"1-{len(step.tasks)}",
             chunk=1,
-            cores=float(needs.cores),
-            memory=f"{needs.memory_mib}m",
+            cores=float(step.kind.cores),
+            memory=f"{step.kind.memory_mib}m",
         )
         job.add_layer(layer)
         for needed in step.needs:
@@ -276,17 +273,13 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     if root is not None:
         check_confined([("submit", spec.job), ("submit", spec.out or spec.job)], root)
     job = _with_absolute_paths(read_job(spec.job))
-    check_job_name(job.job)
     if root is not None:
         check_confined(job.named_paths(), root)
     # Before the job waits in a queue.
     if faults := missing_in_job(job):
         raise InputError("\n".join(faults))
-    sizes = ChunkSizes(
-        map=spec.chunk, movie=spec.movie_chunk, track=spec.track_chunk, clips=spec.clips
-    )
     plan = plan_job(
-        job, sizes=sizes, frames_of=lambda path: frame_range_of(path) if path.exists() else None
+        job, spec, frames_of=lambda path: frame_range_of(path) if path.exists() else None
     )
     carried = _carried(job)
     if root is not None:  # uploaded to farms without shared storage

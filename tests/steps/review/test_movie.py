@@ -17,11 +17,12 @@ from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import work_folder
-from usdface.farm.plan import ChunkSizes, in_chunks
+from usdface.farm.plan import in_chunks
 from usdface.media.film.movie import read_movie_comment, write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame, movie_size
 from usdface.media.film.video import VideoReader
 from usdface.runner.execute import execute
+from usdface.specs.commands import SubmitSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
 from usdface.steps.review import movie as movie_step
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
@@ -127,7 +128,7 @@ def test_parts_that_leave_frames_out_or_show_them_twice_are_refused(
 @pytest.mark.parametrize("size", [24, 31])
 def test_parts_as_a_farm_makes_them_are_joined_whatever_their_size(shot: Shot, size: int) -> None:
     movie = spec_of(shot, "joined.mp4", rate=24)
-    *chunks, join = in_chunks(movie, ChunkSizes(map=size, movie=size), (20, 140))
+    *chunks, join = in_chunks(movie, SubmitSpec(job=Path("j"), movie_chunk=size), (20, 140))
     for chunk in chunks:
         first, last = map(int, str(chunk.frames).split("-"))
         made = part_of(shot.folder, first, last)
