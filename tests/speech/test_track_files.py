@@ -3,10 +3,11 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.speech.phones import PhoneTrack, Span, label_at, viseme_of
+from usdface.speech.phones import PhoneTrack, Span, spans_at, viseme_of
 from usdface.speech.track_files import read_phone_track, write_phone_track
 
 pytest.importorskip("praatio")
@@ -31,7 +32,8 @@ def test_marked_emotions_read_back(tmp_path: Path, suffix: str) -> None:
     write_phone_track(tmp_path / f"x{suffix}", marked)
     back = read_phone_track(tmp_path / f"x{suffix}").emotions
     assert back == spans
-    assert [label_at(back, at) for at in (0.0, 0.39, 0.4, 0.8)] == ["joy", "joy", "anger", ""]
+    joy, anger = spans
+    assert spans_at(back, np.array([0.0, 0.39, 0.4, 0.8])) == [joy, joy, anger, None]
 
 
 def test_htk_in_its_own_unit_and_in_seconds_is_the_same(tmp_path: Path) -> None:
@@ -159,4 +161,5 @@ def test_emotions_hold_where_they_are_marked_in_whatever_order(tmp_path: Path) -
     phones = [{"start": 0.1, "end": 0.2, "label": "AH"}]
     (tmp_path / "x.json").write_text(json.dumps({"phones": phones, "emotions": emotions}))
     marked = read_phone_track(tmp_path / "x.json").emotions
-    assert [label_at(marked, at) for at in (0.5, 1.5, 2.5)] == ["anger", "calm", "joy"]
+    labels = [span and span.label for span in spans_at(marked, np.array([0.5, 1.5, 2.5]))]
+    assert labels == ["anger", "calm", "joy"]

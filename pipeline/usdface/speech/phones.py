@@ -5,13 +5,12 @@ several alphabets are accepted.
 """
 
 import unicodedata
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 
 SILENCE = "pau"
 
@@ -152,12 +151,13 @@ class PhoneTrack:
     """[s]"""
 
 
-def label_at(spans: tuple[Span, ...], seconds: float) -> str:
-    """Return the label of the span at a time; empty if there is none."""
-    place = bisect_right([span.start for span in spans], seconds) - 1
-    if place < 0 or seconds >= spans[place].end:
-        return ""
-    return spans[place].label
+def spans_at(spans: Sequence[Span], seconds: FloatArray) -> list[Span | None]:
+    """Return the span at each time [s]; None where there is none."""
+    places = np.searchsorted([span.start for span in spans], seconds, side="right") - 1
+    return [
+        spans[place] if place >= 0 and at < spans[place].end else None
+        for place, at in zip(places.tolist(), seconds.tolist(), strict=True)
+    ]
 
 
 STEP_SECONDS = 0.02

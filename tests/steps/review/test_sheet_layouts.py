@@ -291,7 +291,7 @@ def test_rows_tell_what_is_said_where_phones_are_known(shot: Shot, monkeypatch) 
     monkeypatch.setattr(
         sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
     )
-    phones = write_phones(shot / "x.json", [(0.0, 1.0, "sil"), (1.0, 2.0, "M"), (2.0, 3.0, "AA1")])
+    phones = write_phones(shot / "x.json", [(0.0, 1.0, ""), (1.0, 2.0, "M"), (2.0, 3.0, "AA1")])
     execute(spec_of(shot, layout="strip", pick="even", rows=5, phones=phones, out=shot / "a.png"))
     # frames 1, 121, 241, 360 and 480 at 120 per second
     assert [row.spoken for row in pages[0].rows] == [

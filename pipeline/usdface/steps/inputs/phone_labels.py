@@ -1,6 +1,5 @@
 """Phones and visemes at the frames of takes."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +11,15 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.selection.design import Segment
 from usdface.specs.references import SelectSpec
-from usdface.speech.phones import SILENCE, PhoneTrack, arpabet_of, label_at, viseme_label, viseme_of
+from usdface.speech.phones import (
+    SILENCE,
+    PhoneTrack,
+    Span,
+    arpabet_of,
+    spans_at,
+    viseme_label,
+    viseme_of,
+)
 from usdface.speech.track_files import read_phone_track, unknown_symbols
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 
@@ -45,7 +52,7 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
         count = len(takes.positions[index])
         rate = float(source.rate)
         take_emotion = spec.emotions[index] if spec.emotions else source.emotion
-        seconds = (np.arange(count) / rate).tolist()
+        seconds = np.arange(count) / rate
         track = PhoneTrack(())
         if spec.phones:
             track = _read_track(spec.phones[index], source.name, count / rate)
@@ -55,21 +62,22 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
                     f"{spec.phones[index].name}: {len(unknown)} symbols are no phone and were "
                     f"left out: {first_few(map(repr, unknown))}"
                 )
-        emotion_at = [take_emotion] * count
-        if track.emotions:
-            emotion_at = [label_at(track.emotions, at) or take_emotion for at in seconds]
+        emotion_at = [
+            take_emotion if span is None else span.label
+            for span in spans_at(track.emotions, seconds)
+        ]
         if not any(emotion_at):
             unmarked.append(source.name)
-        viseme_at = [
-            viseme_of(label) or "" if label else "" for label in _phones_at(track, seconds)
-        ]
         for span in track.phones:
             row = round(span.middle * rate)
             viseme = viseme_of(span.label)
             if viseme is not None and 0 <= row < count:
                 length = max(round((span.end - span.start) * rate), 1)
                 segments.append(Segment(start + row, length, viseme, emotion_at[row]))
-        visemes += viseme_at
+        visemes += [
+            "" if span is None else viseme_of(span.label) or ""
+            for span in spans_at(track.phones, seconds)
+        ]
         emotions += emotion_at
         start += count
     if unmarked and (spec.phones or len(takes.sources) > 1):
@@ -91,37 +99,22 @@ def _read_track(path: Path, take: str, take_seconds: float) -> PhoneTrack:
     return track
 
 
-def _phones_at(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
-    """Return the phone at each time, ``sil`` in silence; empty outside of all phones."""
-    if not track.phones:
-        return [""] * len(seconds)
-    starts = np.array([span.start for span in track.phones])
-    ends = np.array([span.end for span in track.phones])
-    at = np.asarray(seconds)
-    place = np.searchsorted(starts, at, side="right") - 1
-    inside = (place >= 0) & (at < ends[np.maximum(place, 0)])
-    return [
-        (track.phones[k].label or "sil") if is_inside else ""
-        for k, is_inside in zip(place.tolist(), inside.tolist(), strict=True)
-    ]
-
-
 def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, ...]:
     """Return phone, viseme and emotion of each frame, such as ``M  /b/ /p/ /m/``, else ``''``."""
     if phones is None:
         return ("",) * len(frames)
     track = _read_track(phones, take.name, take.frame_count / float(take.rate))
     seconds = take.seconds(np.asarray(frames, np.float64))
-    return tuple(_label_text(track, at) for at in seconds.tolist())
+    spoken, emotions = spans_at(track.phones, seconds), spans_at(track.emotions, seconds)
+    return tuple(_label_text(*each) for each in zip(spoken, emotions, strict=True))
 
 
-def _label_text(track: PhoneTrack, seconds: float) -> str:
-    phone = label_at(track.phones, seconds)
-    viseme = viseme_of(phone) if phone else None
-    if viseme is None:
-        viseme_at = ""
+def _label_text(phone: Span | None, emotion: Span | None) -> str:
+    viseme = None if phone is None else viseme_of(phone.label)
+    if phone is None or viseme is None:
+        spoken = ""
     elif viseme == SILENCE:
-        viseme_at = "silent"
+        spoken = "silent"
     else:
-        viseme_at = f"{(arpabet_of(phone) or phone).upper()}  {viseme_label(viseme)}"
-    return ", ".join(part for part in (viseme_at, label_at(track.emotions, seconds)) if part)
+        spoken = f"{(arpabet_of(phone.label) or '').upper()}  {viseme_label(viseme)}"
+    return ", ".join(filter(None, [spoken, "" if emotion is None else emotion.label]))
