@@ -9,7 +9,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from usdface.cli.command_list import EPILOG, commands_on_demand
+from usdface.cli.command_list import EPILOG, CommandList
 from usdface.cli.commands import (
     COMPLETE_VARIABLE,
     check,
@@ -33,7 +33,7 @@ from usdface.cli.console import (
     unwritable_output,
     was_stopped,
 )
-from usdface.cli.step_commands import GROUPS, make_group, top_commands
+from usdface.cli.step_commands import add_step_commands
 from usdface.core.errors import CancelledError, CheckFailedError, UsdfaceError
 from usdface.core.version import __version__
 
@@ -47,11 +47,9 @@ _FUNCTIONS = {
 
 
 def _make_app() -> typer.Typer:
-    groups = {group: make_group(group) for group in GROUPS}
-    groups["edits"].command("list", epilog=EPILOG)(list_edits)
     made = typer.Typer(
         name="usdface",
-        cls=commands_on_demand(top_commands(groups)),
+        cls=CommandList,
         help="Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.",
         epilog=EPILOG,
         no_args_is_help=True,
@@ -61,6 +59,7 @@ def _make_app() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     made.callback()(_top)
+    add_step_commands(made)["edits"].command("list", epilog=EPILOG)(list_edits)
     for workflow, functions in _FUNCTIONS.items():
         for function in functions:
             made.command(epilog=EPILOG, rich_help_panel=workflow)(function)

@@ -4,15 +4,14 @@ import inspect
 import json
 import webbrowser
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from usdface.cli.command_list import CommandMaker, commands_on_demand
+from usdface.cli.command_list import EPILOG, CommandList
 from usdface.cli.console import ProgressStyle, echo, progress_listener, show_result
-from usdface.cli.spec_options import COMMON_OPTIONS, build_spec, command_of, help_of
+from usdface.cli.spec_options import COMMON_OPTIONS, build_spec, command_of
 from usdface.core.errors import CancelledError, InputError
 from usdface.core.progress import Progress
 from usdface.core.replacing import creating
@@ -189,44 +188,36 @@ GROUPS = {
 """Groups of commands: workflow and summary."""
 
 
-def _maker(
-    spec: type[Spec],
-    run: Callable[..., None] = _run_step,
-    common: list[inspect.Parameter] = COMMON_OPTIONS,
-) -> CommandMaker:
-    make = partial(command_of, spec, run, common)
-    return CommandMaker(make, help_of(spec), spec.workflow())
-
-
-def make_group(group: str) -> typer.Typer:
-    """Return a group with the commands of the steps named ``GROUP-...``."""
-    makers = {
-        spec.step_name().removeprefix(f"{group}-"): _maker(spec)
-        for spec in COMMAND_SPECS
-        if spec.step_name().startswith(f"{group}-")
+def add_step_commands(app: typer.Typer) -> dict[str, typer.Typer]:
+    """Add the commands of all specs; return the groups, of steps named ``GROUP-...``."""
+    groups = {
+        name: typer.Typer(
+            cls=CommandList, help=summary, no_args_is_help=True, rich_markup_mode=None
+        )
+        for name, (_, summary) in GROUPS.items()
     }
-    workflow, summary = GROUPS[group]
-    made = typer.Typer(
-        cls=commands_on_demand(makers), help=summary, no_args_is_help=True, rich_markup_mode=None
-    )
-    made.info.rich_help_panel = workflow  # the constructor drops it
-    return made
-
-
-def top_commands(groups: dict[str, typer.Typer]) -> dict[str, CommandMaker]:
-    """Return the makers of top-level commands; a group is listed in place of its first command."""
-    makers: dict[str, CommandMaker] = {}
     for spec in COMMAND_SPECS:
-        group = spec.step_name().partition("-")[0]
-        if group in GROUPS:
-            workflow, summary = GROUPS[group]
-            makers[group] = CommandMaker(partial(groups.__getitem__, group), summary, workflow)
+        group, _, name = spec.step_name().partition("-")
+        if group in groups:
+            _add(groups[group], name, spec, _run_step, COMMON_OPTIONS)
         else:
-            makers[spec.step_name()] = _maker(spec)
-    return makers | {
-        "tune": _maker(TuneSpec, _tune, _shared("as_json")),
-        "submit": _maker(SubmitSpec, _submit, _shared("overwrite", "as_json")),
-    }
+            _add(app, spec.step_name(), spec, _run_step, COMMON_OPTIONS)
+    _add(app, "tune", TuneSpec, _tune, _shared("as_json"))
+    _add(app, "submit", SubmitSpec, _submit, _shared("overwrite", "as_json"))
+    for name, made in groups.items():
+        app.add_typer(made, name=name, rich_help_panel=GROUPS[name][0])
+    return groups
+
+
+def _add(
+    to: typer.Typer,
+    name: str,
+    spec: type[Spec],
+    run: Callable[..., None],
+    common: list[inspect.Parameter],
+) -> None:
+    function = command_of(spec, run, common)
+    to.command(name, epilog=EPILOG, rich_help_panel=spec.workflow())(function)
 
 
 def _shared(*names: str) -> list[inspect.Parameter]:
