@@ -17,7 +17,7 @@ from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
 from usdface.runner.origin import REFUSED_SUFFIX, make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.capture import AlignSpec
-from usdface.usdio.take.read import TakeReader
+from usdface.usdio.take.read import read_first_frame
 from usdface.usdio.take.write import VideoSync, write_video_sync
 
 
@@ -127,8 +127,7 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress) -> StepR
         raise InputError(
             f"{picture}: was not written by usdface; move it, or name another --picture"
         )
-    reader = TakeReader(spec.take)
-    take = reader.read(reader.first_frame, reader.first_frame)
+    take = read_first_frame(spec.take)
     if take.video is None:
         raise InputError(f"{spec.take}: has no video to align; ingest the capture with --video")
     evidence = _gather(take, take.video, part(progress, 0.05, 0.9))

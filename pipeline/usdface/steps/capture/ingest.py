@@ -32,7 +32,7 @@ from usdface.steps.capture.merge_captures import (
 )
 from usdface.steps.inputs.cleaned_takes import check_neutral_frame
 from usdface.usdio.take.foreign import read_foreign_take
-from usdface.usdio.take.read import TakeReader, is_take, read_take
+from usdface.usdio.take.read import is_take, read_first_frame, read_take
 from usdface.usdio.take.write import write_take
 
 log = logging.getLogger(__name__)
@@ -228,8 +228,7 @@ def _capture_sound(spec: IngestSpec, skipped: tuple[int, int]) -> CaptureSound |
 
 def _is_sound_of(path: Path, sound: Path) -> bool:
     try:
-        reader = TakeReader(path)
-        take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
+        take = read_first_frame(path)
     except InputError:  # a damaged take, which is replaced
         return False
     return take.audio is not None and take.audio.resolve() == sound.resolve()

@@ -19,7 +19,7 @@ from usdface.speech.forced_alignment import (
 from usdface.speech.phones import INCOMPLETE_SHARE, PhoneTrack, Span, share_outside, viseme_of
 from usdface.speech.pronunciation import read_dictionary
 from usdface.speech.track_files import write_phone_track
-from usdface.usdio.take.read import read_take
+from usdface.usdio.take.read import read_first_frame
 
 LARGEST_TRANSCRIPT_BYTES = 1 << 20
 """The size of a day of speech."""
@@ -35,7 +35,7 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress) -> Step
         text = read_text(spec.transcript, LARGEST_TRANSCRIPT_BYTES)
     words = _words(spec, text or "")
     pronunciations = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
-    take = read_take(spec.audio) if is_usd_name(spec.audio) else None
+    take = read_first_frame(spec.audio) if is_usd_name(spec.audio) else None
     if take is None:
         samples, video = read_audio(spec.audio, rate=SPEECH_SAMPLE_RATE), None
     elif take.audio is not None:

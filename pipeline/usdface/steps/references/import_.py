@@ -28,7 +28,7 @@ from usdface.steps.inputs.weight_tables import (
 from usdface.steps.references.coverage import redraw_coverage
 from usdface.usdio.references.weight_layers import TunedPair, read_keyed_references
 from usdface.usdio.references.write import write_tuned_weights
-from usdface.usdio.take.read import TakeReader
+from usdface.usdio.take.read import read_first_frame
 
 _RATE_SHARE = 0.9
 """Share of a table's rows that must be at pairs at another rate for the table to have that rate."""
@@ -236,8 +236,7 @@ def _timed_take(path: Path) -> tuple[Take, Video]:
     """Return the first frame of a take, and its video."""
     if not path.is_file():
         raise InputError(f"{path}: no such take; --at video needs the takes of both sides")
-    reader = TakeReader(path)
-    take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
+    take = read_first_frame(path)
     if take.video is None:
         raise InputError(
             f"{path}: has no video, which --at video needs; ingest it with --video and align it"

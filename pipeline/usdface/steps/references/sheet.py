@@ -35,7 +35,7 @@ from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.steps.inputs.sheet_pages import replacing_pages
 from usdface.usdio.references.read import read_pair_notes, read_rig_of
 from usdface.usdio.references.weight_layers import read_keyed_references
-from usdface.usdio.take.read import read_take
+from usdface.usdio.take.read import read_first_frame
 
 _LEAST_SHOWN_WEIGHT = 0.05
 """Smallest weight that is listed."""
@@ -172,7 +172,7 @@ class _PairPictures:
 
 
 def _takes(files: tuple[Path, ...], references: References) -> dict[str, Take]:
-    found = {take.name: take for take in map(read_take, files)}
+    found = {take.name: take for take in map(read_first_frame, files)}
     unknown = [name for name in found if name not in references.takes]
     if unknown:
         raise InputError(

@@ -21,7 +21,7 @@ from usdface.steps.inputs.source_motion import (
     source_transfer,
 )
 from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_of_pairs
-from usdface.usdio.take.read import TakeReader
+from usdface.usdio.take.read import TakeReader, read_first_frame
 
 _OF_MARKERS = ("phones", "mapping", "placement", "landmarks", "picture")
 """Options of `select` that need markers."""
@@ -77,11 +77,7 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
 
 def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTakes:
     """Return the takes as `CleanedTakes` without markers."""
-    sources = []
-    for path in spec.takes:
-        reader = TakeReader(path)
-        take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
-        sources.append(replace(take, source=None))
+    sources = [replace(read_first_frame(path), source=None) for path in spec.takes]
     check_take_names(spec.takes, sources)
     counts = [len(motion.weights) for motion in motions]
     return CleanedTakes(

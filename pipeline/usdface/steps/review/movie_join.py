@@ -17,7 +17,7 @@ from usdface.media.film.movie_join import join_movies
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieJoinSpec
 from usdface.steps.review.clock import MovieClock, take_sound
-from usdface.usdio.take.read import TakeReader
+from usdface.usdio.take.read import read_first_frame
 
 
 def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
@@ -42,8 +42,7 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress) -> S
     if spec.take is None:
         notes.append("no sound, no timecode and no search for missing frames; they need --take")
     else:
-        reader = TakeReader(spec.take)
-        take = reader.read(reader.first_frame, reader.first_frame)
+        take = read_first_frame(spec.take)
         _check_consecutive(spec.parts, parts_info, take.rate)
         pictures = _synchronised_counts(parts_info, take.rate)
         if sum(pictures) < count:
@@ -59,7 +58,7 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress) -> S
             frame_count=round(count * take.rate / rate),
         )
         sound = take_sound(take, clock, notes)
-        timecode = clock.timecode(reader.timecode_at(reader.first_frame), reader.first_frame)
+        timecode = clock.timecode(take.timecode_start, take.first_frame)
     progress(0.3, "joining")
     written = provenance.metadata
     written |= {"rate": str(rate), "first_frame": parts_info[0].first, "pictures": count}

@@ -371,3 +371,9 @@ def read_take(
 ) -> Take:
     """Read a take, or a range of its frames; see `TakeReader.read`."""
     return TakeReader(path).read(first, last, head_motion=head_motion)
+
+
+def read_first_frame(path: Path) -> Take:
+    """Read a take with its first frame only: for its name, rate, video and sound."""
+    reader = TakeReader(path)
+    return reader.read(reader.first_frame, reader.first_frame, head_motion=False)
