@@ -1,7 +1,7 @@
 """Notes of a review: the file that the report saves and other steps read."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -51,8 +51,6 @@ class ReviewNote(BaseModel):
     fade: Annotated[int, Field(ge=0, le=100_000)] = 0
     """Length of the ease-in and of the ease-out of the correction, in frames."""
     strokes: Annotated[tuple[NoteStroke, ...], Field(max_length=10_000)] = ()
-    newer: int | None = None
-    """Format of its file, if that is newer; only frame and text are read then."""
 
     @property
     def span(self) -> tuple[int, int]:
@@ -74,7 +72,6 @@ class ReviewNote(BaseModel):
             words.append(f"{self.shape} {change}")
         if self.strokes:
             words.append("drawn on the picture")
-        words += ["of a newer version of usdface"] if self.newer else []
         author = f" ({self.author})" if self.author else ""
         return f"{where}: {'; '.join(words) or 'no text'}{author}"
 
@@ -92,42 +89,18 @@ class ReviewNotes(BaseModel):
     notes: Annotated[tuple[ReviewNote, ...], Field(max_length=100_000)]
 
 
-def read_notes(path: Path, *, newer: bool = False) -> ReviewNotes:
-    """Read the notes that a report saved.
-
-    With `newer`, of a newer format only frame and text are read; the complete note is kept under
-    `original`.
-    """
+def read_notes(path: Path) -> ReviewNotes:
+    """Read the notes that a report saved."""
     given = read_json(path, LARGEST_NOTES_BYTES)
     if not isinstance(given, dict) or "usdface_notes" not in given:
         raise InputError(f"{path}: holds no notes; save them in a report of `usdface report`")
     number = given["usdface_notes"]
     if isinstance(number, int) and number > NOTES_FORMAT:
-        if not newer:
-            raise InputError(
-                f"{path}: has format {number}, but this version of usdface reads {NOTES_FORMAT}; "
-                "update usdface"
-            )
-        given = _texts_of_newer(given, number)
+        raise InputError(
+            f"{path}: has format {number}, but this version of usdface reads {NOTES_FORMAT}; "
+            "update usdface"
+        )
     try:
         return ReviewNotes.model_validate(given)
     except ValidationError as error:
         raise InputError(f"{path}: {validation_messages(error, Spec)}") from error
-
-
-_TEXTS = ("id", "text", "author", "made", "version")
-
-
-def _texts_of_newer(given: dict[str, Any], number: int) -> dict[str, Any]:
-    """Return the notes of a newer format with frames and texts only."""
-    notes = []
-    rows = given.get("notes")
-    for index, note in enumerate(rows if isinstance(rows, list) else []):
-        if not isinstance(note, dict):
-            continue
-        frame = note.get("frame")
-        known = {key: note[key] for key in _TEXTS if isinstance(note.get(key), str)}
-        plain = {"id": f"newer-{index}", "frame": frame if isinstance(frame, int) else 0}
-        notes.append({**plain, **known, "newer": number, "original": note})
-    heads = {key: given[key] for key in ("performance", "take") if isinstance(given.get(key), str)}
-    return {**heads, "usdface_notes": NOTES_FORMAT, "notes": notes}

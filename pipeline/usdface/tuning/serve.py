@@ -87,7 +87,7 @@ def _run(
         rig,
         notes,
         pictures,
-        review=None if spec.notes is None else read_notes(spec.notes, newer=True),
+        review=None if spec.notes is None else read_notes(spec.notes),
         first_pair=_first_pair(spec, session),
     )
     guard = Guard(build_application(scene), port=listener.getsockname()[1], announce=announce)

@@ -22,23 +22,14 @@ function merged(one, other) {
   return [...byName.values()].sort((a, b) => a.frame - b.frame);
 }
 
-/** Frames and texts of notes in a newer format, as in specs/notes.py. */
-function textsOfNewer(notes, newer) {
-  return notes.filter((note) => typeof note === "object" && note !== null).map((note, index) => {
-    const shown = { id: `newer-${index}`, frame: Number.isInteger(note.frame) ? note.frame : 0, newer, original: note };
-    for (const key of TEXTS) if (typeof note[key] === "string") shown[key] = note[key];
-    return shown;
-  });
-}
-
 /** Parse a file of notes; throws if it is not one. */
 function readNotes(text) {
   const file = JSON.parse(text);
   const format = file?.usdface_notes;
-  if (!(Number.isInteger(format) && format >= FORMAT_OF_NOTES) || !Array.isArray(file.notes)) {
+  if (format > FORMAT_OF_NOTES) throw new Error(`has format ${format}, of a newer version of usdface`);
+  if (format !== FORMAT_OF_NOTES || !Array.isArray(file.notes)) {
     throw new Error("not a file of notes of a usdface report");
   }
-  if (format > FORMAT_OF_NOTES) return textsOfNewer(file.notes, format);
   const fits = (note) => typeof note.id === "string" && Number.isInteger(note.frame)
     && TEXTS.every((key) => typeof (note[key] ?? "") === "string")
     && (note.strokes ?? []).every(({ points }) => points.every(Array.isArray));
@@ -290,14 +281,13 @@ export class Notes extends EventTarget {
     const from = [note.author, (note.made ?? "").slice(0, 16).replace("T", " ")].filter(Boolean).join(", ");
     const facts = node("small", {}, from);
     const old = note.version !== data.version;
-    if (old && !note.newer) facts.append(" ", node("em", {}, "on another version"));
-    if (note.newer) facts.append(" ", node("em", {}, "written by a newer version of usdface, shown in part"));
+    if (old) facts.append(" ", node("em", {}, "on another version"));
     if (!inside) facts.append(" ", node("em", {}, "outside this report"));
     const done = node("input", { type: "checkbox", "aria-label": `Done: ${note.text ?? ""}` });
     done.checked = Boolean(note.done);
     done.addEventListener("change", () => this.#change(note, { done: done.checked }));
-    const actions = note.newer ? [] : [node("label", {}, done, " done"), button("Edit", "Edit this note", () => this.#edit(note))];
-    if (old && !note.newer) actions.push(button("Still valid", "Make it a note on this version", () => this.#change(note, { version: data.version })));
+    const actions = [node("label", {}, done, " done"), button("Edit", "Edit this note", () => this.#edit(note))];
+    if (old) actions.push(button("Still valid", "Make it a note on this version", () => this.#change(note, { version: data.version })));
     actions.push(button("Delete", "Delete this note", () => {
       this.#changed([[note.id, stamp()]]);
     }));

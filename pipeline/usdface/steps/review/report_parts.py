@@ -149,7 +149,7 @@ def page_notes(spec: ReportSpec, shot: Shot) -> PageNotes:
         files = (default,)
     latest = dict[str, dict[str, Any]]()
     for file in files:
-        for note in read_notes(file, newer=True).notes:
+        for note in read_notes(file).notes:
             known = latest.get(note.id)
             if known is None or note.made >= known.get("made", ""):
                 latest[note.id] = note.model_dump(mode="json", exclude_unset=True)
