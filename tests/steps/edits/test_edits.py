@@ -18,7 +18,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.core.sidecars import edits_path, weights_path
+from usdface.core.sidecars import edits_path, tuned_path, weights_path
 from usdface.numerics.motion.key_reduction import no_edit
 from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance, provenance_of
@@ -46,6 +46,8 @@ from usdface.steps.references.from_edits import (
 from usdface.usdio.performance import write
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import TunedPair
+from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, read_take
 from usdface.usdio.take.write import write_take
@@ -616,6 +618,38 @@ def test_where_no_frame_has_all_edits_at_their_peaks_those_nearest_are_meant() -
     both = (changes >= FULL_STRENGTH).all(axis=0)
     assert both.any()
     np.testing.assert_array_equal(full_strength_frames(edits, changes), both)
+
+
+def name_author(asset: Path, pairs: list[int], author: str, **weights: float) -> None:
+    """Store tuned weights of pairs, changed by `weights`, with their author."""
+    old = read_references(asset)
+    tuned = [
+        TunedPair(
+            pair,
+            old.takes[pair],
+            int(old.frames[pair]),
+            old.weights_of(pair) | weights,
+            author=author,
+        )
+        for pair in pairs
+    ]
+    write_tuned_weights(old, tuned, layer_path=tuned_path(asset), provenance=Provenance())
+
+
+def test_keys_that_edits_replace_are_no_longer_of_their_author(shot: Shot) -> None:
+    asset, out = shot / "hero.references.usda", shot / "v2.references.usda"
+    frames = read_references(asset).frames.tolist()
+    name_author(asset, list(range(len(frames))), "Kim")
+    edit(shot / "shot.hero.usda", override=0.8, frames=f"{frames[2]}-{frames[2]}")
+    spec = ReferencesFromEditsSpec(
+        performances=(shot / "shot.hero.usda",), references=asset, out=out
+    )
+    run(spec)
+    authors = read_references(out).authors
+    assert [pair for pair, author in enumerate(authors) if author != "Kim"] == [2]
+    name_author(out, [4], "Lee", jawOpen=0.3)
+    run(spec)
+    assert read_references(out).authors[4] == "Lee"
 
 
 def test_corrections_taken_in_place_twice_are_the_same_as_once(shot: Shot) -> None:

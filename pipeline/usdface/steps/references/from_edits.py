@@ -258,21 +258,29 @@ def _tuned_by_hand(
     tuned, kept = [], 0
     for pair, take in enumerate(references.takes):
         frame = int(references.frames[pair])
-        weights = by_hand.get((take, frame))
-        if weights is not None:
+        known = by_hand.get((take, frame))
+        if known is not None:
             kept += 1
+            tuned.append(replace(known, pair=pair))
         elif references.tuned[pair]:
-            weights = references.weights_of(pair)
-        if weights is not None:
-            author = references.authors[pair] if references.authors else ""
-            tuned.append(TunedPair(pair, take, frame, weights, author=author))
+            tuned.append(_tuned_pair(references, pair))
     if kept:
         notes.append(f"{spec.out}: kept as tuned there: {pluralize(kept, 'pair')}")
     return tuned
 
 
-def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
-    """Return the weights of an asset, by take and frame, that differ from its proposals."""
+def _tuned_pair(references: References, pair: int) -> TunedPair:
+    return TunedPair(
+        pair,
+        references.takes[pair],
+        int(references.frames[pair]),
+        references.weights_of(pair),
+        author=references.authors[pair] if references.authors else "",
+    )
+
+
+def _by_hand(out: Path) -> dict[tuple[str, int], TunedPair]:
+    """Return the pairs of an asset, by take and frame, that differ from its proposals."""
     if not out.is_file():
         return {}
     try:
@@ -281,10 +289,8 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
     except InputError:  # damaged
         return {}
     differs = np.abs(existing.weights - proposals).max(axis=1, initial=0.0) > SAME_WEIGHT
-    return {
-        (existing.takes[pair], int(existing.frames[pair])): existing.weights_of(pair)
-        for pair in np.flatnonzero(differs).tolist()
-    }
+    pairs = [_tuned_pair(existing, pair) for pair in np.flatnonzero(differs).tolist()]
+    return {(each.take, each.frame): each for each in pairs}
 
 
 def _left_out(out: Path, references: References) -> list[str]:
@@ -305,7 +311,7 @@ def _left_out(out: Path, references: References) -> list[str]:
 def _with_edited(old: References, edited: list[_EditedFrames], notes: list[str]) -> References:
     """Return references with edited frames as new pairs, or as new weights of existing pairs."""
     known = index_of(zip(old.takes, old.frames.tolist(), strict=True))
-    weights, tuned = old.weights.copy(), old.tuned.copy()
+    weights, tuned, authors = old.weights.copy(), old.tuned.copy(), list(old.authors)
     new: dict[tuple[str, int], tuple[FloatArray, FloatArray]] = {}
     renewed = 0
     for each in edited:
@@ -315,11 +321,13 @@ def _with_edited(old: References, edited: list[_EditedFrames], notes: list[str])
             if pair is None:  # of a frame edited in two performances, the later one counts
                 new[key] = (each.captured[row], each.weights[row])
             else:
+                if authors and np.abs(weights[pair] - each.weights[row]).max() > SAME_WEIGHT:
+                    authors[pair] = ""  # `train` brings the keys of an author to one gain
                 weights[pair], tuned[pair] = each.weights[row], True
                 renewed += 1
     if renewed:
         notes.append(f"existing pairs with new weights: {pluralize(renewed, 'edited frame')}")
-    extended = replace(old, weights=weights, tuned=tuned)
+    extended = replace(old, weights=weights, tuned=tuned, authors=tuple(authors))
     for (take, number), (captured, row_weights) in new.items():
         frames = np.array([number], dtype=np.int64)
         extended = with_pairs(extended, take, frames, captured[None], row_weights[None], tuned=True)
