@@ -58,7 +58,7 @@ ImageOut = Annotated[WritePath, AfterValidator(file_ending(IMAGE_SUFFIXES, "a pi
 
 
 def _one_or_several(given: Any) -> Any:
-    return (given,) if isinstance(given, str | Path) else given
+    return (given,) if isinstance(given, str | Path | int | float) else given
 
 
 Several = BeforeValidator(_one_or_several)

@@ -2,13 +2,22 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from usdface.core.sidecars import weights_path
 from usdface.specs.base import Drive, MovedRigSpec, Name, NeverWith, OnlyWith, Positional, Spec
-from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
+from usdface.specs.paths import (
+    FilePath,
+    Frames,
+    ImageOut,
+    LayerOut,
+    PrimPath,
+    ReadPath,
+    Reads,
+    Several,
+)
 
 
 class TrainSpec(MovedRigSpec):
@@ -32,10 +41,10 @@ class TrainSpec(MovedRigSpec):
     method: Name = "auto"
     """Regression method: `auto`, `face_map`, `d06`, `ridge`, `rbf`, `multiquadric`, `kernel_cca`
     or `hybrid`."""
-    dimensions: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = ()
+    dimensions: Annotated[tuple[Annotated[int, Field(ge=1, le=1000)], ...], Several] = ()
     """Numbers of principal components among which cross-validation chooses. Default: by method;
     `d06` has the 4 of the paper, `face_map` the first 50 with variance, others compare 8 to 40."""
-    widths: tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...] = ()
+    widths: Annotated[tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...], Several] = ()
     """Widths of Gaussian kernels among which cross-validation chooses: multiples of the distance to
     the nearest reference (`d06`, `rbf`) or of the median distance (`kernel_cca`, `hybrid`).
     Default: by method; 2 for `d06`, for which the paper gives no value."""
@@ -46,11 +55,6 @@ class TrainSpec(MovedRigSpec):
     """Train on tuned pairs only, however few they are. Default: if at least 8 pairs are tuned."""
     all_pairs: bool = False
     """Train on proposals as well, even if 8 or more pairs are tuned."""
-
-    @field_validator("dimensions", "widths", mode="before")
-    @classmethod
-    def _one_or_several(cls, given: Any) -> Any:
-        return (given,) if isinstance(given, int | float) else given or ()
 
 
 class MapSpec(Spec):
