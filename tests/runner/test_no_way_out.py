@@ -20,11 +20,14 @@ from usdface.cli import main
 from usdface.core.assets import Video
 from usdface.core.confinement import ROOT_VARIABLE
 from usdface.core.errors import InputError
+from usdface.core.progress import silent
+from usdface.core.provenance import Provenance
 from usdface.core.side_files import make_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.media.film.movie import write_movie
 from usdface.media.film.video import open_video
 from usdface.media.picture.image import write_image
+from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.placement import placement_of_performance
 from usdface.steps.references import images
 from usdface.tuning.pictures import PairPictures
@@ -145,7 +148,8 @@ def write_images(shot: Shot, outside: Path) -> None:
     path = shot / "hero.references.usda"
     take = TakeReader(shot / "shot.clean.take.usda").read(1, 1)
     seen = replace(take, video=Video(shot / "v.mp4"))
-    images.write_pair_images(path, read_references(path), (seen,), metadata={})
+    spec = SelectSpec(takes=(shot / "shot.clean.take.usda",), rig=shot / "hero.usdc", out=path)
+    images.store_images(spec, read_references(path), (seen,), Provenance(), silent)
 
 
 SAVE_SPEC = "clean shot.take.usda --out n.take.usda --save-spec {outside}/notes.yaml"

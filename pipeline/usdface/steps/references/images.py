@@ -35,27 +35,16 @@ def store_images(
     provenance: Provenance,
     progress: Progress,
 ) -> PairImages:
-    """Store the video frames of the pairs, unless --no-images is given."""
-    if not spec.images:
-        return PairImages((), ())
-    progress(0.0, "storing the video frames of the pairs")
-    return write_pair_images(spec.out, references, sources, metadata=provenance.metadata)
-
-
-def write_pair_images(
-    path: Path,
-    references: References,
-    sources: tuple[Take, ...],
-    *,
-    metadata: Mapping[str, object],
-) -> PairImages:
-    """Write an image for every pair whose take has a video that shows it.
+    """Write an image for every pair whose take has a video that shows it, unless --no-images.
 
     Images, named by take and frame, stay available if the video is moved or archived.
     """
+    if not spec.images:
+        return PairImages((), ())
+    progress(0.0, "storing the video frames of the pairs")
     files: list[Path | None] = [None] * len(references.frames)
     notes = []
-    folder = images_folder(path)
+    folder = images_folder(spec.out)
     check_side_folder(folder)
     for take in sources:
         named = _image_files(folder, references, take)
@@ -65,7 +54,7 @@ def write_pair_images(
             shown = _existing(named)
         else:
             try:
-                shown = _write_take(named, references, take, take.video, metadata)
+                shown = _write_take(named, references, take, take.video, provenance)
                 foreign = [
                     file.name for pair, file in named.items() if pair not in shown and file.exists()
                 ]
@@ -108,7 +97,7 @@ def _write_take(
     references: References,
     take: Take,
     video: Video,
-    metadata: Mapping[str, object],
+    provenance: Provenance,
 ) -> dict[int, Path]:
     """Write the images of one take's pairs, in the order of the video; return those written."""
     shown = {}
@@ -121,7 +110,7 @@ def _write_take(
             file = files[pair]
             make_side_folder(file.parent)
             if _is_ours(file) or not os.path.lexists(file):
-                write_image(file, picture, metadata=metadata)
+                write_image(file, picture, metadata=provenance.metadata)
                 shown[pair] = file
     return shown
 
