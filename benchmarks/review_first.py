@@ -52,7 +52,7 @@ def run() -> None:
         for take, performance, keys, frames in _keyed_takes(Path(name)):
             shot = open_shot(performance, frames=frames)
             ruler = ShotMetric(shot)
-            truth = read_keys(keys, shot)
+            truth = read_keys(keys, shot, None, [])
             signals = ruler.signals(None, set_up_shot_baseline(shot))
             keyed = ruler.signals(truth)
             ranked[take] = rank(shot, signals, keyed)

@@ -179,7 +179,7 @@ def test_keys_by_other_names_are_the_same_keys(finished_shot: Shot, tmp_path: Pa
     assert other.figures["weight_rmse"] == pytest.approx(usual.figures["weight_rmse"])
     assert any("matched by the meaning" in note for note in other.notes)
     shot = open_shot(finished_shot / "shot.hero.usda", frames="1-39")
-    again = [read_keys(each, shot) for each in (keys, finished_shot / "keys.csv")]
+    again = [read_keys(each, shot, None, []) for each in (keys, finished_shot / "keys.csv")]
     np.testing.assert_allclose(again[0], again[1])
 
 
@@ -198,7 +198,9 @@ def test_keys_in_percent_are_the_same_keys(
     assert percent.figures["vertex_rms_mm"] == pytest.approx(usual.figures["vertex_rms_mm"])
     shot = open_shot(performance, frames="1-39")
     np.testing.assert_allclose(
-        read_keys(keys, shot, "percent"), read_keys(finished_shot / "keys.csv", shot), atol=1e-12
+        read_keys(keys, shot, "percent", []),
+        read_keys(finished_shot / "keys.csv", shot, None, []),
+        atol=1e-12,
     )
     with pytest.raises(InputError, match="--weight-unit is for tables of weights"):
         execute(spec_of(finished_shot, against=performance, weight_unit="one"))
@@ -293,7 +295,9 @@ def test_of_a_table_of_takes_the_rows_of_its_take_count(shot: Shot) -> None:
     )
     assert found == alone
     view = open_shot(solved, frames="1-39")
-    np.testing.assert_array_equal(*(read_keys(each, view) for each in (shot / "keys.csv", both)))
+    np.testing.assert_array_equal(
+        *(read_keys(each, view, None, []) for each in (shot / "keys.csv", both))
+    )
     execute(EditsImportSpec(performance=solved, changed=both))
     edited = EvaluateSpec(performance=solved, against=shot / "keys.csv")
     assert execute(edited).figures["weight_rmse"] < 0.2 * alone

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.steps.review.test_report import give_video
-from tests.steps.small_shot import Shot
+from tests.steps.small_shot import FRAMES, Shot
 from usdface.core.errors import InputError
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import read_picture
@@ -108,6 +108,23 @@ def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
     assert means["b/shot.hero"] > 2 * means["usdface"]
     assert {means[name] for name in same} == {means["usdface"]}
     assert f"b/shot.hero {means['b/shot.hero']:.2f} mm" in report.summary
+
+
+def test_shapes_that_the_keys_lack_are_named_as_they_count_as_0(shot: Shot) -> None:
+    lines = ["frame,jawOpen,wiggle", *(f"{frame},0.5,0" for frame in range(1, FRAMES + 1))]
+    (shot / "jaw.csv").write_text("\n".join(lines))
+    spec = SheetSpec(
+        performance=shot / "shot.hero.usda",
+        out=shot / "jaw.png",
+        against=shot / "jaw.csv",
+        rows=1,
+        tile=64,
+        quality="draft",
+        baseline=False,
+    )
+    notes = execute(spec).notes
+    assert any("left out 1 column of" in note and "wiggle" in note for note in notes)
+    assert any("jaw.csv lacks" in note and "taken as 0" in note for note in notes)
 
 
 def test_several_threads_draw_the_sheet_that_one_draws(shot: Shot, monkeypatch) -> None:

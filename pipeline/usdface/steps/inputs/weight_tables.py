@@ -289,6 +289,14 @@ def _exported_table(
     )
 
 
+def missing_shape_notes(file: Path, names: Collection[str], wanted: Sequence[str]) -> list[str]:
+    """Return a note on wanted shapes that are not among those of a file, and count as 0."""
+    lacking = [name for name in wanted if name not in names]
+    if not lacking:
+        return []
+    return [f"{file} lacks {pluralize(len(lacking), 'shape')}, taken as 0: {first_few(lacking)}"]
+
+
 USUAL_RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0, 24 / 1.001, 30 / 1.001, 60 / 1.001)
 """[frames/s]"""
 _FEWEST_COUNTED = 20

@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import write_text
-from usdface.core.text import first_few, json_text, pluralize
+from usdface.core.text import json_text
 from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
@@ -19,7 +19,7 @@ from usdface.runner.origin import take_name
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
-from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
+from usdface.steps.inputs.weight_tables import WeightTable, missing_shape_notes, read_weight_table
 from usdface.steps.review.evaluation_tables import (
     evaluation_figures,
     evaluation_page,
@@ -106,9 +106,14 @@ def _compare(
             *meaning_notes(transfer),
             *given.notes(spec.against, known, owner="on the rig"),
             *_missing_notes(spec, truth_frames, len(solved_frames)),
-            *_notes(spec, clip.names, truth.names, rig),
+            *missing_shape_notes(spec.performance, clip.names, _on(rig, truth.names)),
+            *missing_shape_notes(spec.against, truth.names, _on(rig, clip.names)),
         ),
     )
+
+
+def _on(rig: Rig, names: tuple[str, ...]) -> list[str]:
+    return [name for name in names if name in rig.shapes]
 
 
 def _missing_notes(spec: EvaluateSpec, keyed: IntArray, count: int) -> list[str]:
@@ -116,24 +121,6 @@ def _missing_notes(spec: EvaluateSpec, keyed: IntArray, count: int) -> list[str]
     if spec.frames or len(keyed) < 2 or len(keyed) >= count or (np.diff(np.sort(keyed)) > 1).any():
         return []
     return [f"{spec.against.name} has {len(keyed)} of the {count} frames; the others have no keys"]
-
-
-def _notes(
-    spec: EvaluateSpec, solved: tuple[str, ...], truth: tuple[str, ...], rig: Rig
-) -> tuple[str, ...]:
-    """Return notes on shapes that one side lacks, which count as 0."""
-    notes = []
-    for label, these, those in (
-        (spec.performance, truth, solved),
-        (spec.against, solved, truth),
-    ):
-        missing = [name for name in these if name not in those and name in rig.shapes]
-        if missing:
-            notes.append(
-                f"{label} lacks {pluralize(len(missing), 'shape')}, taken as 0: "
-                f"{first_few(missing)}"
-            )
-    return tuple(notes)
 
 
 def _write(

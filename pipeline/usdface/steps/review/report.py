@@ -106,7 +106,7 @@ def _page(
 ) -> ReviewPage:
     """Return the contents of the report; notes on missing parts are appended."""
     take, rig, metric = shot.take, shot.rig, ShotMetric(shot)
-    keys = read_keys(spec.against, shot, spec.weight_unit)
+    keys = read_keys(spec.against, shot, spec.weight_unit, notes)
     pictures, review_notes = _sheet(spec), page_notes(spec, shot)  # errors before long work
     spoken = labels_at(spec.phones, take, shot.frames) if spec.phones else ()
     progress(0.05, "placing the markers on the rig")

@@ -12,6 +12,7 @@ from usdface.core.errors import InputError
 from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.evaluation import SkinMetric
+from usdface.model.retarget.name_matching import meaning_notes
 from usdface.model.review.moments import (
     Moment,
     ReviewSignals,
@@ -24,7 +25,7 @@ from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarker
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
 from usdface.specs.review import FramePick
 from usdface.steps.inputs.placement import placed_equation, placement_of_performance
-from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.inputs.weight_tables import missing_shape_notes, read_weight_table
 from usdface.steps.review.shot import Shot
 
 _BASELINE_FRAMES = 20_000
@@ -141,14 +142,19 @@ def solve_baseline(
     return weights
 
 
-def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatArray | None:
-    """Return the keys at a shot's frames, (frames, shapes); NaN at frames missing from the file."""
+def read_keys(
+    file: Path | None, shot: Shot, unit: str | None, notes: list[str]
+) -> FloatArray | None:
+    """Return the keys at a shot's frames, (frames, shapes); NaN at frames missing from the file.
+
+    Notes on columns that are left out, and on shapes without one, are appended.
+    """
     if file is None:
         return None
     rig, frames = shot.rig, shot.frames
     given = read_weight_table(file, known=rig.shapes, unit=unit, take=shot.take.name)
     given.check_rate(shot.take.rate, file=file, performance=shot.performance_file)
-    table, _ = given.by_meaning(rig.shapes, leave=rig.logic.driven)
+    table, transfer = given.by_meaning(rig.shapes, leave=rig.logic.driven)
     table.check_numbering(
         shot.performance.weights,
         columns=rig.shapes,
@@ -161,6 +167,10 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
         raise InputError(
             f"{file}: has none of the frames {frames[0]}-{frames[-1]}; give keys of this take"
         )
+    notes += meaning_notes(transfer)
+    notes += given.notes(file, {*transfer.matched, *rig.logic.driven}, owner="on the rig")
+    solved = shot.performance.weights.names
+    notes += missing_shape_notes(file, table.names, [name for name in rig.shapes if name in solved])
     return truth
 
 

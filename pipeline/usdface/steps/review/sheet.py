@@ -82,7 +82,8 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress) -> StepR
         page = _page(spec, comparison, desks[0].columns, pictures)
         written = _write_pages(spec, page, desks, progress, provenance)
     first = int(shots[0].frames[0])
-    notes = dict.fromkeys(note for each in cameras for note in each.notes(first))
+    notes = dict.fromkeys(comparison.notes)
+    notes |= dict.fromkeys(note for each in cameras for note in each.notes(first))
     notes |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
     return _result(written, comparison, tuple(notes))
 

@@ -68,6 +68,8 @@ class SheetComparison:
     """Phone and viseme of each chosen frame; empty if unknown."""
     verdicts: dict[str, SolveVerdict]
     """By label of the performance."""
+    notes: tuple[str, ...]
+    """On the keys."""
 
     @property
     def known_scores(self) -> list[Score]:
@@ -96,7 +98,8 @@ def compare_shots(spec: SheetSpec, shots: list[Shot], progress: Progress) -> She
     progress(0.1, "placing the markers on the rig")
     equation = None if shot.take.markers is None else set_up_shot_baseline(shot)
     metric = ShotMetric(shot)
-    truth = read_keys(spec.against, shot, spec.weight_unit)
+    notes: list[str] = []
+    truth = read_keys(spec.against, shot, spec.weight_unit, notes)
     signals = metric.signals(truth, equation)
     chosen = _choose(spec, shot, signals)
     rows = [frame.row for frame in chosen]
@@ -114,7 +117,7 @@ def compare_shots(spec: SheetSpec, shots: list[Shot], progress: Progress) -> She
         verdicts[label] = judge_solve(ShotMetric(other).evidence(known))
     spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
     return SheetComparison(
-        shots, metric, signals, equation, truth, scores, chosen, spoken, verdicts
+        shots, metric, signals, equation, truth, scores, chosen, spoken, verdicts, tuple(notes)
     )
 
 
