@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.model.synthetic import (
     RIGID,
@@ -206,6 +207,11 @@ def trained(made: SyntheticFace) -> TrainedMapping:
     )
 
 
+def without_expressions(mapping: TrainedMapping) -> TrainedMapping:
+    kept = {k: v for k, v in mapping.arrays.items() if not k.startswith("expression_")}
+    return replace(mapping, arrays=kept)
+
+
 def test_a_slip_is_removed_from_references_and_takes() -> None:
     good, other = synthetic_face(noise=0.1), synthetic_face(noise=0.1, seed=1)
     mapping, expected = trained(slipped(good, 2)), trained(good)
@@ -217,11 +223,27 @@ def test_a_slip_is_removed_from_references_and_takes() -> None:
         found = predict_weights(each, placed.positions, visible=placed.visible).weights
         errors.append(np.sqrt(((found - other.weights) ** 2).mean()))
     assert max(errors) < 0.03
-    arrays = {k: v for k, v in expected.arrays.items() if not k.startswith("expression_")}
-    uncorrected = replace(expected, arrays=arrays)
+    uncorrected = without_expressions(expected)
     placed = align_markers(uncorrected, markers_of(slipped(other, 3)), rate=60)
     found = predict_weights(uncorrected, placed.positions, visible=placed.visible).weights
     assert np.sqrt(((found - other.weights) ** 2).mean()) > 1.5 * max(errors)
+
+
+@pytest.mark.parametrize("with_rig", [True, False])
+def test_the_face_tells_that_the_head_band_was_put_on_again(with_rig: bool) -> None:
+    mapping, other = trained(synthetic_face(noise=0.1)), synthetic_face(noise=0.1, seed=1)
+    if not with_rig:
+        mapping = without_expressions(mapping)
+    turn = Rotation.from_euler("xyz", [4, -3, 2], degrees=True).as_matrix()
+    moved = other.positions @ turn.T + [3.0, -5.0, 2.0]
+    moved[:, : len(other.rigid)] = other.positions[:, : len(other.rigid)]
+    positions = moved.astype(np.float32)
+    space = find_head_space(
+        face_of_mapping(mapping), markers_of(other, positions=positions), rate=60.0
+    )
+    assert space.moved_mm > 3
+    away = space.move(positions, np.ones(positions.shape[:2], bool)) - other.positions
+    assert np.sqrt((away[:, len(other.rigid) :] ** 2).sum(axis=2).mean()) < 0.3
 
 
 def test_a_mapping_without_a_rig_removes_nothing() -> None:

@@ -1,7 +1,7 @@
 """Alignment of a take with a performer's marker order, head space and neutral face."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -93,7 +93,9 @@ class HeadSpace:
     known_share: FloatArray | float = 1.0
     """(markers,): share of the variance of a marker's motion that is not an error of the offset."""
     pose_errors: PoseErrors | None = None
-    """Of the take's frames; None if the rig's motion of the markers is not known."""
+    """Of the take's frames; None if there are none."""
+    moved_mm: float = 0.0
+    """Displacement of the face by rigid markers that were put on again, root mean square [mm]."""
     pair_offset: FloatArray | float = 0.0
     """(markers, 3): offset that the take's reference pairs show, in the take's space [mm]."""
 
@@ -171,70 +173,76 @@ def find_head_space(
     picks = sample_frames(len(positions), SAMPLE_FRAMES)
     if frames is not None:
         picks = np.union1d(picks, np.flatnonzero(numbers == markers.neutral_frame))
-    seen = visible[picks]
-
-    def align(rotation: FloatArray, shift: FloatArray) -> FloatArray:
-        return positions[picks].astype(np.float64) @ rotation.T + shift
-
-    def compare(aligned: FloatArray) -> TakeNeutral:
-        return compare_neutral(
-            face,
-            aligned,
-            seen,
-            frames=numbers[picks],
-            stated_frame=markers.neutral_frame,
-            rate=rate,
-            performer=performer,
-            session=session,
-        )
-
-    rotation, shift, errors = _correct_poses(face, align, seen, (rotation, shift))
+    sample, seen = positions[picks].astype(np.float64), visible[picks]
+    compare = partial(
+        compare_neutral,
+        face,
+        usable=seen,
+        frames=numbers[picks],
+        stated_frame=markers.neutral_frame,
+        rate=rate,
+        performer=performer,
+        session=session,
+    )
+    rotation, shift, errors, moved_mm = _correct_poses(face, sample, seen, (rotation, shift))
     if errors is not None:
-        neutral = compare(errors.remove(align(rotation, shift), seen))
+        neutral = compare(errors.remove(sample @ rotation.T + shift, seen))
     else:
-        neutral = compare(align(rotation, shift))
+        neutral = compare(sample @ rotation.T + shift)
         if neutral.offset.any() and by_pairs is None:
-            # The median of rigid markers, which sit on skin, depends on the take's expressions. The
-            # offset compares equal expressions: its rigid part is an error of the head space.
-            turn, step = _rigid_part(face, neutral.offset, np.asarray(seen.any(axis=0)))
+            # Medians of rigid markers, on skin, depend on the expressions; the offset does not.
+            turn, step = _rigid_part(face, neutral.offset, seen)
             rotation, shift = turn @ rotation, turn @ shift + step
-            neutral = compare(align(rotation, shift))
+            neutral = compare(sample @ rotation.T + shift)
     if by_pairs is not None:
         size_mm = float(np.sqrt((by_pairs[2] ** 2).sum(axis=1).mean()))
         neutral = replace(neutral, offset=np.zeros_like(neutral.offset), offset_mm=size_mm)
     missing = tuple(name for name in face.marker_names if name not in markers.names)
     extra = tuple(name for name in markers.names if name not in face.marker_names)
-    known = _known_share(face, neutral)
     return HeadSpace(
-        columns, slots, count, rotation, shift, missing, extra, neutral, known, errors, pair_offset
+        columns,
+        slots,
+        count,
+        rotation,
+        shift,
+        missing,
+        extra,
+        neutral,
+        _known_share(face, neutral),
+        errors,
+        moved_mm,
+        pair_offset,
     )
 
 
 def _correct_poses(
     face: PerformerFace,
-    align: Callable[[FloatArray, FloatArray], FloatArray],
+    positions: FloatArray,
     seen: BoolArray,
     transform: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray, PoseErrors | None]:
+) -> tuple[FloatArray, FloatArray, PoseErrors | None, float]:
     """Return a take's transform without the mean error of its poses, and the errors that are left.
 
     Where the rig's motion of the markers is not known, that of the performer's frames tells the
-    mean. The transform as it is, and None, if the mean is left to the rigid part of the offset.
+    mean. The transform as it is, and None, if the mean is left to the rigid part of the offset. The
+    last is the mean, if the rigid markers were put on again [mm].
     """
     rigid = np.isin(face.marker_names, face.rigid)
     motion = face.expressions or observed_motion(
         np.where(face.usable[..., None], face.frames, face.neutral), face.neutral, rigid=rigid
     )
-    errors = motion.find_errors(align(*transform), seen)
+    rotation, shift = transform
+    errors = motion.find_errors(positions @ rotation.T + shift, seen)
     size_mm = errors.size_mm if face.expressions is not None else 0.0
     if not size_mm and errors.mean_mm < _MOVED_MM:
-        return *transform, None
+        return rotation, shift, None, 0.0
     turn, step = errors.mean_transform
-    moved = turn @ transform[0], turn @ transform[1] + step
-    left = motion.find_errors(align(*moved), seen)
+    moved = turn @ rotation, turn @ shift + step
+    left = motion.find_errors(positions @ moved[0].T + moved[1], seen)
     if not size_mm and left.evidence <= errors.evidence:
-        return *transform, None
-    return *moved, left if size_mm else replace(left, size_mm=0.0)
+        return rotation, shift, None, 0.0
+    left = replace(left, size_mm=left.size_mm * (size_mm > 0))
+    return *moved, left, errors.mean_mm if errors.mean_mm >= _MOVED_MM else 0.0
 
 
 def _align_pairs(
@@ -359,7 +367,8 @@ def _rigid_part(
     face: PerformerFace, offset: FloatArray, seen: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rotation and shift that remove the rigid part of an offset."""
-    slots = [i for i, name in enumerate(face.marker_names) if name in face.rigid and seen[i]]
+    names = enumerate(face.marker_names)
+    slots = [i for i, name in names if name in face.rigid and seen[:, i].any()]
     return _robust_transform((face.neutral + offset)[slots], face.neutral[slots])
 
 

@@ -185,8 +185,8 @@ def compare_neutral(
         If the labels of two markers are exchanged throughout, or the take is of another performer.
     """
     stated = np.full_like(face.neutral, np.nan)
-    for row in np.flatnonzero(frames == stated_frame):
-        stated = np.where(usable[row, :, None], positions[row], np.nan)
+    for at in np.flatnonzero(frames == stated_frame):
+        stated = np.where(usable[at, :, None], positions[at], np.nan)
     offset, gain = find_offset(
         face.frames,
         face.usable,

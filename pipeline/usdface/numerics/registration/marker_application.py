@@ -36,6 +36,9 @@ NEAR_MM = 45.0
 _NOISE_MM = 0.1
 """Deviation of a marker at rest."""
 
+_STILL_MM = 0.2
+"""Deviation of a coordinate of a marker that expressions do not move."""
+
 _GAP_MM = 0.5
 """Smallest gap between ranges that is reported."""
 
@@ -97,7 +100,10 @@ def find_offset(
         return offset, 0.0
     covariance = expression_covariance(frames, usable, neutral)
     covariance += _UNSEEN_SHARE * np.diag(np.diag(covariance))
-    variance, axes = np.linalg.eigh(covariance)
+    # Rigid markers, as of a band that was put on again, tell nothing of the offsets on the skin.
+    still = np.diag(covariance).reshape(-1, 3).mean(axis=1) < _STILL_MM**2
+    moving = np.repeat(~still, 3)
+    variance, axes = np.linalg.eigh(covariance[np.ix_(moving, moving)])
     neutrals = others_neutral - neutral
     for _ in range(_MATCHING_ROUNDS):
         squared = _squared_distances(ours + offset, known, others, others_usable)
@@ -110,14 +116,16 @@ def find_offset(
         share /= np.maximum(share.sum(axis=0), 1e-12)
         difference = np.where(both[..., None], others[other_rows] - ours[rows], 0.0)
         matched = np.einsum("pm,pmc->mc", share, difference)
-        unmatched = ~both.any(axis=0)[:, None]
         # A marker that one of the two lacks has the difference of the other.
         second = np.where(np.isnan(neutrals), matched, neutrals)
-        first = np.where(unmatched, second, matched)
-        shown = np.stack([first.ravel(), second.ravel()]) @ axes
-        mean, gain = _most_probable_offset(shown, np.maximum(variance, 0.0))
-        offset = (axes @ mean).reshape(-1, 3)
-    return np.where(others_usable.any(axis=0)[:, None], offset, 0.0), gain
+        first = np.where(share.sum(axis=0)[:, None] > 0, matched, second)
+        shown = np.stack([first.ravel(), second.ravel()])
+        mean, gain = _most_probable_offset(shown[:, moving] @ axes, np.maximum(variance, 0.0))
+        offset = shown.mean(axis=0)
+        offset[moving] = axes @ mean
+        offset = offset.reshape(-1, 3)
+    offset[~others_usable.any(axis=0)] = 0.0
+    return offset, gain
 
 
 def expression_covariance(frames: FloatArray, usable: BoolArray, neutral: FloatArray) -> FloatArray:
@@ -152,7 +160,7 @@ def _most_probable_offset(shown: FloatArray, variance: FloatArray) -> tuple[Floa
         at = np.unravel_index(int(total.argmax()), total.shape)
         if total[at] > best[0]:
             best = float(total[at]), score[at] / posterior[at]
-    return best[1], (best[0] - float(constant.sum(axis=2).max())) / (2 * len(variance))
+    return best[1], (best[0] - float(constant.sum(axis=2).max())) / (2 * max(len(variance), 1))
 
 
 def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) -> FloatArray:
