@@ -13,9 +13,9 @@ all markers as one body, expressions do not. The displacements of the markers fr
   `_USUAL_CHI2`. Rigid markers tell nothing of p, as the stabilisation has brought them to rest.
 
 m and S maximise the likelihood over a take. The posterior mean of p is subtracted, unless S is
-small, or not much larger than the posterior covariance: a constant error alone is left to
-`take_neutral`. The markers' mean residual, weighted by 1 / nu, is subtracted before: that of frames
-near rest is of markers that were reapplied, others have that of expressions.
+small, or not much larger than the posterior covariance: of a constant error alone, `head_space`
+removes a large m. The markers' mean residual, weighted by 1 / nu, is subtracted before: that of
+frames near rest is of markers that were reapplied, others have that of expressions.
 """
 
 from dataclasses import dataclass
