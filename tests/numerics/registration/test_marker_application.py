@@ -112,7 +112,7 @@ def test_a_neutral_face_that_smiles_is_not_an_offset() -> None:
 
 def test_the_offset_is_the_conditional_mean_of_the_most_likely_variances() -> None:
     rng = np.random.default_rng(6)
-    variance = np.array([9.0, 4.0, 1.0, 0.0, 0.0])
+    variance, rigid = np.array([9.0, 4.0, 1.0, 0.0, 0.0]), rng.normal(size=(2, 5))
     alike = np.ones((2, 2))
     for smile in (0.0, 3.0):
         shown = rng.normal(size=5) + np.array([[0.1], [smile]]) * np.sqrt(variance)
@@ -121,13 +121,15 @@ def test_the_offset_is_the_conditional_mean_of_the_most_likely_variances() -> No
             _OFFSET_DEVIATIONS_MM, _EXPRESSION_SHARES, _EXPRESSION_SHARES
         ):
             error = np.diag(np.kron(np.square(shares), variance) + _NOISE_MM**2)
-            whole = prior**2 * np.kron(alike, np.eye(5)) + error
+            offset = prior**2 * np.eye(5) + rigid.T @ rigid
+            whole = np.kron(alike, offset) + error
             density = multivariate_normal.logpdf(shown.ravel(), cov=whole)
-            both = prior**2 * np.kron(np.ones((1, 2)), np.eye(5))
+            both = np.kron(np.ones((1, 2)), offset)
             best = max(
                 best, (density, both @ np.linalg.solve(whole, shown.ravel())), key=lambda x: x[0]
             )
-        np.testing.assert_allclose(_most_probable_offset(shown, variance)[0], best[1], rtol=1e-6)
+        found = _most_probable_offset(shown, variance, rigid)[0]
+        np.testing.assert_allclose(found, best[1], rtol=1e-6)
 
 
 def test_unseen_markers_say_nothing() -> None:

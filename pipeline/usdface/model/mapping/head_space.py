@@ -1,7 +1,7 @@
 """Alignment of a take with a performer's marker order, head space and neutral face."""
 
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -131,6 +131,20 @@ class HeadSpace:
         return np.asarray(moved + self.pair_offset)
 
 
+class _Alignment(NamedTuple):
+    """First alignment of a take with a performer's face."""
+
+    rotation: FloatArray
+    """(3, 3)"""
+    shift: FloatArray
+    """(3,) [mm]"""
+    pair_offset: FloatArray | float = 0.0
+    """As of `HeadSpace`."""
+    rigid_mm: float = 0.0
+    """Root mean square distance of the rigid markers from the performer's, if the face agrees and
+    they do not [mm]."""
+
+
 def find_head_space(
     face: PerformerFace,
     markers: Markers,
@@ -168,34 +182,26 @@ def find_head_space(
     positions, visible = _in_order(markers, columns, slots, count)
     numbers = np.arange(len(positions)) if frames is None else frames
     by_pairs = _align_pairs(face, take, numbers, positions)
-    rotation, shift, pair_offset = by_pairs or (*_rigid_transform(face, positions, visible), 0.0)
-    positions = positions - np.float32(pair_offset)
+    aligned = by_pairs or _align_medians(face, positions, visible)
+    positions = positions - np.float32(aligned.pair_offset)
     picks = sample_frames(len(positions), SAMPLE_FRAMES)
     if frames is not None:
         picks = np.union1d(picks, np.flatnonzero(numbers == markers.neutral_frame))
     sample, seen = positions[picks].astype(np.float64), visible[picks]
-    compare = partial(
-        compare_neutral,
+    rotation, shift, errors, moved_mm = _correct_poses(face, sample, seen, aligned)
+    sample = sample @ rotation.T + shift
+    neutral = compare_neutral(
         face,
-        usable=seen,
+        sample if errors is None else errors.remove(sample, seen),
+        seen,
         frames=numbers[picks],
         stated_frame=markers.neutral_frame,
         rate=rate,
         performer=performer,
         session=session,
     )
-    rotation, shift, errors, moved_mm = _correct_poses(face, sample, seen, (rotation, shift))
-    if errors is not None:
-        neutral = compare(errors.remove(sample @ rotation.T + shift, seen))
-    else:
-        neutral = compare(sample @ rotation.T + shift)
-        if neutral.offset.any() and by_pairs is None:
-            # Medians of rigid markers, on skin, depend on the expressions; the offset does not.
-            turn, step = _rigid_part(face, neutral.offset, seen)
-            rotation, shift = turn @ rotation, turn @ shift + step
-            neutral = compare(sample @ rotation.T + shift)
     if by_pairs is not None:
-        size_mm = float(np.sqrt((by_pairs[2] ** 2).sum(axis=1).mean()))
+        size_mm = float(np.sqrt(np.square(by_pairs.pair_offset).sum(axis=1).mean()))
         neutral = replace(neutral, offset=np.zeros_like(neutral.offset), offset_mm=size_mm)
     missing = tuple(name for name in face.marker_names if name not in markers.names)
     extra = tuple(name for name in markers.names if name not in face.marker_names)
@@ -210,8 +216,8 @@ def find_head_space(
         neutral,
         _known_share(face, neutral),
         errors,
-        moved_mm,
-        pair_offset,
+        max(moved_mm, aligned.rigid_mm),
+        aligned.pair_offset,
     )
 
 
@@ -219,7 +225,7 @@ def _correct_poses(
     face: PerformerFace,
     positions: FloatArray,
     seen: BoolArray,
-    transform: tuple[FloatArray, FloatArray],
+    aligned: _Alignment,
 ) -> tuple[FloatArray, FloatArray, PoseErrors | None, float]:
     """Return a take's transform without the mean error of its poses, and the errors that are left.
 
@@ -231,7 +237,7 @@ def _correct_poses(
     motion = face.expressions or observed_motion(
         np.where(face.usable[..., None], face.frames, face.neutral), face.neutral, rigid=rigid
     )
-    rotation, shift = transform
+    rotation, shift = aligned.rotation, aligned.shift
     errors = motion.find_errors(positions @ rotation.T + shift, seen)
     size_mm = errors.size_mm if face.expressions is not None else 0.0
     if not size_mm and errors.mean_mm < _MOVED_MM:
@@ -247,11 +253,10 @@ def _correct_poses(
 
 def _align_pairs(
     face: PerformerFace, take: str, numbers: IntArray, positions: Float32Array
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return the transform that maps a take's frames to its own reference pairs.
+) -> _Alignment | None:
+    """Map a take's frames to its own reference pairs.
 
-    Rotation, shift, and the offset that was removed from the pairs, in the take's space. None if
-    the pairs are fewer than two, or frames of another take of that name.
+    None if the pairs are fewer than two, or frames of another take of that name.
     """
     frames, markers = face.pairs.get(take, (numbers[:0], face.frames[:0]))
     _, rows, pairs = np.intersect1d(numbers, frames, return_indices=True)
@@ -262,7 +267,7 @@ def _align_pairs(
     offset = middle - (target - shift) @ rotation
     away = positions[rows] - offset - (markers[pairs] - shift) @ rotation
     scatter_mm = np.sqrt((away**2).sum(axis=2).mean())
-    return (rotation, shift, offset) if scatter_mm < MIN_OFFSET_MM else None
+    return _Alignment(rotation, shift, offset) if scatter_mm < MIN_OFFSET_MM else None
 
 
 def _known_share(face: PerformerFace, neutral: TakeNeutral) -> FloatArray:
@@ -305,71 +310,71 @@ def _in_order(
     return positions, visible
 
 
-def _rigid_transform(
-    face: PerformerFace, positions: Float32Array, visible: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation and shift of the take's rigid markers onto the performer's."""
+def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolArray) -> _Alignment:
+    """Map the median positions of a take's rigid markers to the performer's.
+
+    Those of all markers, where the rigid ones are too few, collinear, or elsewhere, as of a head
+    band that was put on again.
+    """
     # Medians over whole takes, as a single neutral frame is noisy.
-    slots = [
-        i
-        for i, name in enumerate(face.marker_names)
-        if name in face.rigid and visible[:, i].any() and face.usable[:, i].any()
-    ]
-    if len(slots) < MINIMUM_RIGID:
-        raise InputError(
-            f"the take has {len(slots)} of the mapping's {len(face.rigid)} rigid markers, at "
-            f"least {MINIMUM_RIGID} are needed to find its head space; name them in the take"
-        )
-    names = [face.marker_names[i] for i in slots]
+    common = np.flatnonzero(visible.any(axis=0) & face.usable.any(axis=0))
     target, median = (
-        np.array([np.median(points[seen[:, i], i].astype(np.float64), axis=0) for i in slots])
+        np.array([np.median(points[seen[:, i], i].astype(np.float64), axis=0) for i in common])
         for points, seen in ((face.frames, face.usable), (positions, visible))
     )
-    breadth = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
-    if breadth[1] <= COLLINEAR_RATIO * breadth[0]:
+    names = np.array(face.marker_names)[common]
+    rigid = np.isin(names, face.rigid)
+    is_determined = rigid.sum() >= MINIMUM_RIGID and not _are_collinear(target[rigid])
+    used = rigid if is_determined else np.ones(len(common), np.bool_)
+    if used.sum() < MINIMUM_RIGID:
         raise InputError(
-            f"the take's rigid markers, {first_few(names)}, lie on a line, which leaves the "
-            "rotation about it undetermined; name another of the mapping's rigid markers in the "
-            "take, or train with more"
+            f"the take and those of the mapping have {used.sum()} markers in common that are "
+            f"ever seen, at least {MINIMUM_RIGID} are needed to find its head space"
         )
-    rotation, shift = _robust_transform(median, target)
+    rotation, shift = _robust_transform(median[used], target[used])
     away = np.linalg.norm(median @ rotation.T + shift - target, axis=1)
-    if np.median(away) > RIGID_TOLERANCE_MM:
-        here, there = (float(np.sqrt(each.var(axis=0).sum())) for each in (median, target))
-        size = here / there
-        if not 1 / UNIT_RATIO < size < UNIT_RATIO:
-            wrong, factor = "the take", size
-            if abs(np.log(here / _RIGID_RADIUS_MM)) < abs(np.log(there / _RIGID_RADIUS_MM)):
-                wrong, factor = "those", 1 / size
-            raise InputError(
-                f"the distances between the take's rigid markers are {size:.3g} times those of the "
-                f"takes it is compared with: one of them is in another unit; ingest {wrong} again "
-                f"and {unit_remedy(factor)}"
-            )
-        cause = "it is another marker set or another performer: select and train for it separately"
-        turned, moved = _robust_transform(median / size, target)
-        scaled = np.linalg.norm(median / size @ turned.T + moved - target, axis=1)
-        if np.median(scaled) < _EXPLAINED_SHARE * np.median(away):
-            cause = (
-                f"a scale explains it: every distance is {size:.3g} times as large. If "
-                f"units or calibration differ, ingest it again with {1 / size:.3g} times its "
-                "--scale (default 1); else it is another performer: select and train for it "
-                "separately"
-            )
+    if np.median(away[used]) <= RIGID_TOLERANCE_MM:
+        return _Alignment(rotation, shift)
+    by_face = _robust_transform(median, target)
+    face_away = np.linalg.norm(median @ by_face[0].T + by_face[1] - target, axis=1)
+    if np.median(face_away) > RIGID_TOLERANCE_MM:
+        _refuse(names[used].tolist(), median[used], target[used], away[used])
+    return _Alignment(*by_face, rigid_mm=float(np.sqrt((face_away[rigid] ** 2).mean())))
+
+
+def _are_collinear(points: FloatArray) -> bool:
+    breadth = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(breadth[1] <= COLLINEAR_RATIO * breadth[0])
+
+
+def _refuse(names: list[str], median: FloatArray, target: FloatArray, away: FloatArray) -> NoReturn:
+    """Refuse a take whose markers are not those of the performer, with the probable cause."""
+    here, there = (float(np.sqrt(each.var(axis=0).sum())) for each in (median, target))
+    size = here / there
+    if not 1 / UNIT_RATIO < size < UNIT_RATIO:
+        wrong, factor = "the take", size
+        if abs(np.log(here / _RIGID_RADIUS_MM)) < abs(np.log(there / _RIGID_RADIUS_MM)):
+            wrong, factor = "those", 1 / size
         raise InputError(
-            f"the take's rigid markers are {np.median(away):.1f} mm from those of the takes it is "
-            f"compared with ({names[int(away.argmax())]}: {away.max():.1f} mm); {cause}"
+            f"the distances between the take's rigid markers are {size:.3g} times those of the "
+            f"takes it is compared with: one of them is in another unit; ingest {wrong} again "
+            f"and {unit_remedy(factor)}"
         )
-    return rotation, shift
-
-
-def _rigid_part(
-    face: PerformerFace, offset: FloatArray, seen: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation and shift that remove the rigid part of an offset."""
-    names = enumerate(face.marker_names)
-    slots = [i for i, name in names if name in face.rigid and seen[:, i].any()]
-    return _robust_transform((face.neutral + offset)[slots], face.neutral[slots])
+    cause = "it is another marker set or another performer: select and train for it separately"
+    turned, moved = _robust_transform(median / size, target)
+    scaled = np.linalg.norm(median / size @ turned.T + moved - target, axis=1)
+    if np.median(scaled) < _EXPLAINED_SHARE * np.median(away):
+        cause = (
+            f"a scale explains it: every distance is {size:.3g} times as large. If "
+            f"units or calibration differ, ingest it again with {1 / size:.3g} times its "
+            "--scale (default 1); else it is another performer: select and train for it "
+            "separately"
+        )
+    raise InputError(
+        f"the take's rigid markers are {np.median(away):.1f} mm from those of the takes it is "
+        f"compared with ({names[int(away.argmax())]}: {away.max():.1f} mm), and its face does not "
+        f"agree with theirs either; {cause}"
+    )
 
 
 def _robust_transform(points: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.numerics.rigid.rigid_alignment import rigid_displacements
 
 SAMPLE_FRAMES = 800
 """Frames of each recording: most expressions in common are in both samples."""
@@ -49,6 +50,10 @@ _OFFSET_DEVIATIONS_MM = np.array([0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4])
 """Candidates of the standard deviation of a marker's offset on an axis: from errors of head spaces
 to markers that were applied by eye."""
 
+_POSE_DEGREES, _POSE_MM = 0.5, 0.5
+"""Standard deviation of the error of a head space, about and along each axis: medians of rigid
+markers that sit on skin depend on the expressions."""
+
 _EXPRESSION_SHARES = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0])
 """Candidates of the difference of expression, relative to the performer's motion."""
 
@@ -71,10 +76,11 @@ def find_offset(
     Two differences show it: the mean over mutual nearest neighbours, which are frames of nearly the
     same expression, and that of the neutral faces. Either has a difference of expression as well::
 
-        y_i = o + e_i    o ~ N(0, s^2)    e_i ~ N(0, t_i^2 C + noise)
+        y_i = o + e_i    o = R q + u    q ~ N(0, 1)    u ~ N(0, s^2)    e_i ~ N(0, t_i^2 C + noise)
 
     with the covariance C of the performer's expressions, so that the neutral faces count little if
-    they differ by a smile, and matched frames if the recordings have few expressions in common.
+    they differ by a smile, and matched frames if the recordings have few expressions in common. R q
+    is the error of the head space, a rigid displacement, and u each marker's own offset.
     s, t_1 and t_2 maximise the likelihood. Matching starts at zero, which favours small shifts.
 
     Returns the posterior mean, (markers, 3), to be subtracted from the other recording [mm]; 0
@@ -105,6 +111,8 @@ def find_offset(
     moving = np.repeat(~still, 3)
     variance, axes = np.linalg.eigh(covariance[np.ix_(moving, moving)])
     neutrals = others_neutral - neutral
+    pose_deviations = np.repeat([np.deg2rad(_POSE_DEGREES), _POSE_MM], 3)
+    rigid = pose_deviations[:, None] * rigid_displacements(neutral).reshape(6, -1)
     for _ in range(_MATCHING_ROUNDS):
         squared = _squared_distances(ours + offset, known, others, others_usable)
         rows, other_rows = _mutual_pairs(squared)
@@ -120,7 +128,9 @@ def find_offset(
         second = np.where(np.isnan(neutrals), matched, neutrals)
         first = np.where(share.sum(axis=0)[:, None] > 0, matched, second)
         shown = np.stack([first.ravel(), second.ravel()])
-        mean, gain = _most_probable_offset(shown[:, moving] @ axes, np.maximum(variance, 0.0))
+        mean, gain = _most_probable_offset(
+            shown[:, moving] @ axes, np.maximum(variance, 0.0), rigid[:, moving] @ axes
+        )
         offset = shown.mean(axis=0)
         offset[moving] = axes @ mean
         offset = offset.reshape(-1, 3)
@@ -137,7 +147,9 @@ def expression_covariance(frames: FloatArray, usable: BoolArray, neutral: FloatA
     return np.asarray(moved.T @ moved / max(len(moved), 1))
 
 
-def _most_probable_offset(shown: FloatArray, variance: FloatArray) -> tuple[FloatArray, float]:
+def _most_probable_offset(
+    shown: FloatArray, variance: FloatArray, rigid: FloatArray
+) -> tuple[FloatArray, float]:
     """Return the posterior mean of an offset, and the gain of log-likelihood per coordinate.
 
     Parameters
@@ -146,6 +158,8 @@ def _most_probable_offset(shown: FloatArray, variance: FloatArray) -> tuple[Floa
         The differences that show it, along the principal axes of the expressions [mm].
     variance : (coordinates,) float array
         Of the expressions [mm^2].
+    rigid : (6, coordinates) float array
+        R, along these axes [mm].
     """
     noise = np.multiply.outer(_EXPRESSION_SHARES**2, variance) + _NOISE_MM**2
     first, second = 1 / noise[:, None], 1 / noise
@@ -155,11 +169,19 @@ def _most_probable_offset(shown: FloatArray, variance: FloatArray) -> tuple[Floa
     best = -np.inf, shown[0]
     for prior in _OFFSET_DEVIATIONS_MM**2:
         posterior = information + 1 / prior
+        # What both differences tell of q, with u integrated out.
+        share = 1 / (1 + prior * information)
+        normal = (share * information)[..., None, :] * rigid @ rigid.T + np.eye(len(rigid))
+        right = (share * score) @ rigid.T
+        q = np.linalg.solve(normal, right[..., None])[..., 0]
         twice_density = constant + score**2 / posterior - np.log(posterior * prior)
-        total = twice_density.sum(axis=2)
+        total = twice_density.sum(axis=2) + (right * q).sum(axis=2)
+        total -= np.linalg.slogdet(normal)[1]
         at = np.unravel_index(int(total.argmax()), total.shape)
         if total[at] > best[0]:
-            best = float(total[at]), score[at] / posterior[at]
+            pose_error = q[at] @ rigid
+            own = (score[at] - information[at] * pose_error) / posterior[at]
+            best = float(total[at]), pose_error + own
     return best[1], (best[0] - float(constant.sum(axis=2).max())) / (2 * max(len(variance), 1))
 
 

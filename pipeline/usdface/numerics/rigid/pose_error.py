@@ -33,6 +33,7 @@ from usdface.core.arrays import (
     frame_blocks,
     sample_frames,
 )
+from usdface.numerics.rigid.rigid_alignment import rigid_displacements
 
 _UNIFORM_VARIANCE = 1 / 12
 """Variance of a weight in [0, 1] of which nothing is known."""
@@ -87,9 +88,7 @@ class ExpressionMotion:
     @cached_property
     def rigid(self) -> FloatArray:
         """(6, markers, 3): displacement by 1 rad about and by 1 mm along each axis, P."""
-        offsets = self.neutral - self.neutral.mean(axis=0)
-        turns = np.cross(np.eye(3)[:, None], offsets)
-        return np.concatenate([turns, np.broadcast_to(np.eye(3)[:, None], turns.shape)])
+        return rigid_displacements(self.neutral)
 
     def likelihood(self, positions: RealArray, visible: BoolArray) -> "PoseLikelihood":
         """Return what frames tell of p, with expressions integrated out."""

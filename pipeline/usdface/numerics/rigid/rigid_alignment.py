@@ -163,6 +163,15 @@ def alignment_of(matrices: ArrayLike) -> RigidAlignment:
     return RigidAlignment(motion[:, :3, :3], motion[:, :3, 3], known, np.ones((len(motion), 0)))
 
 
+def rigid_displacements(points: FloatArray) -> FloatArray:
+    """Return displacements by 1 rad about and by 1 mm along each axis: (6, points, 3) [mm].
+
+    Linearised, about the centre of `points`, (points, 3) [mm].
+    """
+    turns = np.cross(np.eye(3)[:, None], points - points.mean(axis=0))
+    return np.concatenate([turns, np.broadcast_to(np.eye(3)[:, None], turns.shape)])
+
+
 def remove_motion(
     positions: ArrayLike, alignment: RigidAlignment, *, out: RealArray | None = None
 ) -> RealArray:
