@@ -95,7 +95,8 @@ class HeadSpace:
     pose_errors: PoseErrors | None = None
     """Of the take's frames; None if there are none."""
     moved_mm: float = 0.0
-    """Displacement of the face by rigid markers that were put on again, root mean square [mm]."""
+    """Distance of the rigid markers from the performer's, or of the face if these are in place, if
+    they were put on again, root mean square [mm]."""
     pair_offset: FloatArray | float = 0.0
     """(markers, 3): offset that the take's reference pairs show, in the take's space [mm]."""
 
@@ -132,7 +133,7 @@ class HeadSpace:
 
 
 class _Alignment(NamedTuple):
-    """First alignment of a take with a performer's face."""
+    """Rigid alignment of a take with a performer's face."""
 
     rotation: FloatArray
     """(3, 3)"""
@@ -140,9 +141,8 @@ class _Alignment(NamedTuple):
     """(3,) [mm]"""
     pair_offset: FloatArray | float = 0.0
     """As of `HeadSpace`."""
-    rigid_mm: float = 0.0
-    """Root mean square distance of the rigid markers from the performer's, if the face agrees and
-    they do not [mm]."""
+    moved_mm: float = 0.0
+    """As of `HeadSpace`."""
 
 
 def find_head_space(
@@ -188,8 +188,8 @@ def find_head_space(
     if frames is not None:
         picks = np.union1d(picks, np.flatnonzero(numbers == markers.neutral_frame))
     sample, seen = positions[picks].astype(np.float64), visible[picks]
-    rotation, shift, errors, moved_mm = _correct_poses(face, sample, seen, aligned)
-    sample = sample @ rotation.T + shift
+    aligned, errors = _correct_poses(face, sample, seen, aligned)
+    sample = sample @ aligned.rotation.T + aligned.shift
     neutral = compare_neutral(
         face,
         sample if errors is None else errors.remove(sample, seen),
@@ -209,29 +209,25 @@ def find_head_space(
         columns,
         slots,
         count,
-        rotation,
-        shift,
+        aligned.rotation,
+        aligned.shift,
         missing,
         extra,
         neutral,
         _known_share(face, neutral),
         errors,
-        max(moved_mm, aligned.rigid_mm),
+        aligned.moved_mm,
         aligned.pair_offset,
     )
 
 
 def _correct_poses(
-    face: PerformerFace,
-    positions: FloatArray,
-    seen: BoolArray,
-    aligned: _Alignment,
-) -> tuple[FloatArray, FloatArray, PoseErrors | None, float]:
-    """Return a take's transform without the mean error of its poses, and the errors that are left.
+    face: PerformerFace, positions: FloatArray, seen: BoolArray, aligned: _Alignment
+) -> tuple[_Alignment, PoseErrors | None]:
+    """Remove the mean error of a take's poses from its alignment; return the errors that are left.
 
     Where the rig's motion of the markers is not known, that of the performer's frames tells the
-    mean. The transform as it is, and None, if the mean is left to the rigid part of the offset. The
-    last is the mean, if the rigid markers were put on again [mm].
+    mean. None, and the alignment as it is, if the mean is left to the rigid part of the offset.
     """
     rigid = np.isin(face.marker_names, face.rigid)
     motion = face.expressions or observed_motion(
@@ -241,14 +237,17 @@ def _correct_poses(
     errors = motion.find_errors(positions @ rotation.T + shift, seen)
     size_mm = errors.size_mm if face.expressions is not None else 0.0
     if not size_mm and errors.mean_mm < _MOVED_MM:
-        return rotation, shift, None, 0.0
+        return aligned, None
     turn, step = errors.mean_transform
-    moved = turn @ rotation, turn @ shift + step
-    left = motion.find_errors(positions @ moved[0].T + moved[1], seen)
+    rotation, shift = turn @ rotation, turn @ shift + step
+    left = motion.find_errors(positions @ rotation.T + shift, seen)
     if not size_mm and left.evidence <= errors.evidence:
-        return rotation, shift, None, 0.0
-    left = replace(left, size_mm=left.size_mm * (size_mm > 0))
-    return *moved, left, errors.mean_mm if errors.mean_mm >= _MOVED_MM else 0.0
+        return aligned, None
+    moved_mm = errors.mean_mm if errors.mean_mm >= _MOVED_MM else 0.0
+    corrected = aligned._replace(
+        rotation=rotation, shift=shift, moved_mm=max(aligned.moved_mm, moved_mm)
+    )
+    return corrected, replace(left, size_mm=left.size_mm * (size_mm > 0))
 
 
 def _align_pairs(
@@ -339,7 +338,7 @@ def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolAr
     face_away = np.linalg.norm(median @ by_face[0].T + by_face[1] - target, axis=1)
     if np.median(face_away) > RIGID_TOLERANCE_MM:
         _refuse(names[used].tolist(), median[used], target[used], away[used])
-    return _Alignment(*by_face, rigid_mm=float(np.sqrt((face_away[rigid] ** 2).mean())))
+    return _Alignment(*by_face, moved_mm=float(np.sqrt((face_away[rigid] ** 2).mean())))
 
 
 def _are_collinear(points: FloatArray) -> bool:

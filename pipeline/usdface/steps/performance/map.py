@@ -294,9 +294,9 @@ def _marker_notes(space: HeadSpace) -> list[str]:
         notes.append(pose_error_note("the take", space.pose_errors.size_mm))
     if space.moved_mm:
         notes.append(
-            f"the rigid markers were put on again: by them alone, the face would be "
-            f"{space.moved_mm:.1f} mm (root mean square) from the performer's. The face tells the "
-            "head's pose instead; look at the neutral frame"
+            f"the rigid markers were put on again, {space.moved_mm:.1f} mm (root mean square) "
+            "from where they were. The whole face determines the head's pose instead; look at the "
+            "neutral frame"
         )
     return notes
 
