@@ -38,7 +38,7 @@ def reference_pages(usd_schema: Path) -> dict[str, str]:
 
 def _command_line() -> dict[str, str]:
     """Return a page for each command, and one that lists them."""
-    commands = sorted(_commands(typer.main.get_command(app), "usdface"))
+    commands = sorted(_commands(app, "usdface"))
     parts = [
         "# The command line",
         GENERATED,

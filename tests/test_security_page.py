@@ -2,8 +2,6 @@
 
 import re
 
-import typer
-
 from tests.regenerate import REPOSITORY
 from usdface.cli.app import app
 
@@ -11,9 +9,8 @@ PAGE = (REPOSITORY / "docs" / "security.md").read_text("utf-8")
 
 
 def every_command() -> set[str]:
-    top = typer.main.get_command(app)
     found = set()
-    for name, command in vars(top)["commands"].items():
+    for name, command in app.commands.items():
         below = getattr(command, "commands", None)
         found |= {f"{name} {each}" for each in below} if below else {name}
     return found

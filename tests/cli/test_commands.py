@@ -10,7 +10,6 @@ import pytest
 import yaml
 from pxr import Sdf, Vt
 from typer.core import TyperGroup
-from typer.main import get_command
 
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
@@ -40,7 +39,7 @@ def test_the_installed_command_tells_its_version() -> None:
 GROUPS = ("references", "pairs", "edits")
 
 
-@pytest.mark.parametrize("command", sorted(set(get_command(app).commands) - set(GROUPS)))
+@pytest.mark.parametrize("command", sorted(set(app.commands) - set(GROUPS)))
 def test_every_command_answers_help_with_an_example(command: str, capsys) -> None:
     assert run(command, "--help") == 0
     told = capsys.readouterr().out
@@ -198,7 +197,7 @@ def test_a_log_gets_a_line_of_progress_now_and_then(monkeypatch, capsys) -> None
 
 
 def test_every_command_is_listed_under_a_heading() -> None:
-    group = get_command(app)
+    group = app
     assert isinstance(group, TyperGroup)
     assert {command.rich_help_panel for command in group.commands.values()} == set(HEADINGS)
 
@@ -212,7 +211,7 @@ def test_a_list_of_commands_says_what_each_says_of_itself(capsys) -> None:
     """Whole summaries, which click would cut to a line."""
     assert run("--help") == 0
     listed = " ".join(capsys.readouterr().out.split())
-    for name, command in get_command(app).commands.items():
+    for name, command in app.commands.items():
         assert f"{name} {command.get_short_help_str(500)}" in listed
 
 

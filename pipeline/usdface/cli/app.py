@@ -5,9 +5,10 @@ import errno
 import os
 import sys
 import traceback
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
+from typer.main import get_command
 
 from usdface.cli.command_list import EPILOG, CommandList
 from usdface.cli.commands import (
@@ -46,7 +47,7 @@ _FUNCTIONS = {
 """Commands without a spec, by the workflow that they are listed under."""
 
 
-def _make_app() -> typer.Typer:
+def _make_app() -> CommandList:
     made = typer.Typer(
         name="usdface",
         cls=CommandList,
@@ -63,7 +64,7 @@ def _make_app() -> typer.Typer:
     for workflow, functions in _FUNCTIONS.items():
         for function in functions:
             made.command(epilog=EPILOG, rich_help_panel=workflow)(function)
-    return made
+    return cast(CommandList, get_command(made))
 
 
 def _version(wanted: bool) -> None:
