@@ -76,6 +76,23 @@ def _drawn_here() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _known_libraries() -> Iterator[None]:
+    """Look for the process's linear algebra once rather than for each step."""
+    from threadpoolctl import ThreadpoolController
+
+    from usdface.runner import execute
+
+    limit = ThreadpoolController().limit
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            execute,
+            "threadpool_limits",
+            lambda count, user_api: limit(limits=count, user_api=user_api),
+        )
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _interruptible() -> None:
     """Let commands under test be interrupted, which inherit that a run in the background is not."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -243,7 +243,7 @@ def numbered_labels(skin: FaceSkin, shapes, at) -> tuple[str, ...]:
     return tuple(labels)
 
 
-@pytest.mark.usefixtures("placed_once")
+@pytest.mark.usefixtures("placed_once", "few_starts")
 def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(coarse_demo) -> None:
     """Nine markers of a brow are not at one landmark: the cloud keeps its size."""
     rig, skin = coarse_demo
@@ -265,7 +265,7 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(coarse_demo)
     assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.1 * 0.95), rel=0.08)
 
 
-@pytest.mark.usefixtures("placed_once")
+@pytest.mark.usefixtures("placed_once", "few_starts")
 def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(coarse_demo) -> None:
     rig, skin = coarse_demo
     rng = np.random.default_rng(0)

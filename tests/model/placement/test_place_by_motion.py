@@ -63,6 +63,7 @@ def test_finds_known_markers_without_landmarks(face, skin, actor, placed):
     assert not placed.by_labels
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_a_head_band_that_slips_does_not_move_the_markers(face, skin, actor, placed):
     rng = np.random.default_rng(1)
     turns, moves = rng.normal(0, 0.02, (len(actor.positions), 3)), rng.normal(0, 3, (3, 1, 1, 3))
@@ -100,7 +101,7 @@ def test_weights_are_followed_from_samples_nearby(skin, actor, placed):
     assert np.abs(motion[1] - motion[2]).max() < 0.05
 
 
-@pytest.mark.usefixtures("placed_once")
+@pytest.mark.usefixtures("placed_once", "few_starts")
 def test_a_cloud_upside_down_is_noticed(skin, actor, placed):
     over = np.array([-1.0, -1.0, 1.0])
     assert place(skin, actor.neutral * over, actor.positions * over).overturned_gain > 0.1
@@ -114,6 +115,7 @@ def test_upper_and_lower_lip_are_told_apart(face, actor, placed):
     np.testing.assert_array_equal(true[lips, 1] < MOUTH, found[lips, 1] < MOUTH)
 
 
+@pytest.mark.usefixtures("few_starts")
 @pytest.mark.parametrize("yaw", [90, 180])
 def test_turning_moving_and_resizing_the_performer_changes_nothing(face, skin, placed, yaw):
     actor = act(face, yaw=yaw)
@@ -171,7 +173,7 @@ def test_mirrored_places_are_refused(face, skin, actor):
         place(skin, actor.neutral * (-1, 1, 1), None, pins=pins)
 
 
-@pytest.mark.usefixtures("placed_once")
+@pytest.mark.usefixtures("placed_once", "few_starts")
 def test_frames_with_unseen_markers_are_avoided(face, skin, actor):
     spoiled, visible = actor.positions.copy(), np.ones(actor.positions.shape[:2], bool)
     spoiled[::3, ::5] = 0
