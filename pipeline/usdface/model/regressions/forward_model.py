@@ -350,11 +350,19 @@ class _Prior:
 
     def log_evidence(self) -> FloatArray:
         """Return the log evidence per candidate of sigma, up to a constant: (noises, markers)."""
-        out = np.empty((len(_NOISES_MM), len(self.covariance)))
+        count, axes = len(self.targets), self.deviations.shape[2]
+        size2 = (self.deviations**2).sum(axis=(1, 2))
+        # With the deviations d as further rows, the factor of C = LL' has the rows d'L'^-1 as well.
+        extended = np.zeros((len(size2), count + axes, count + axes))
+        extended[:, count:, :count] = self.deviations.transpose(0, 2, 1)
+        rest = np.arange(count, count + axes)
+        out = np.empty((len(_NOISES_MM), len(size2)))
         for row, sigma in enumerate(_NOISES_MM):
-            root = np.linalg.cholesky(self.covariance + sigma**2 * np.eye(len(self.targets)))
-            fit = (np.linalg.solve(root, self.deviations) ** 2).sum(axis=(1, 2))
-            log_determinant = 2 * np.log(np.einsum("knn->kn", root)).sum(axis=1)
+            extended[:, :count, :count] = self.covariance + sigma**2 * np.eye(count)
+            extended[:, rest, rest] = 1 + size2[:, None] / sigma**2  # more than d'C^-1 d
+            root = np.linalg.cholesky(extended)
+            fit = (root[:, count:, :count] ** 2).sum(axis=(1, 2))
+            log_determinant = 2 * np.log(np.einsum("knn->kn", root[:, :count, :count])).sum(axis=1)
             prior = (np.log(sigma / _NOISE_MEDIAN_MM) / _LOG_NOISE_DEVIATION) ** 2
             out[row] = -0.5 * (fit + 3 * log_determinant + prior)
         return out
