@@ -111,9 +111,9 @@ def leave_one_out_errors(
         rotated = vectors.T @ outputs
         unfitted = NOISES / (values[:, None] + NOISES)  # eigenvalues of I - hat matrix
         leverage = np.minimum(vectors**2 @ (1 - unfitted), _MOST_LEVERAGE)
-        for k in range(len(NOISES)):
-            residual = vectors @ (unfitted[:, k, None] * rotated) / (1 - leverage[:, k, None])
-            out[i, k] = (residual**2).mean(axis=0)
+        fit = np.tensordot(vectors, unfitted[:, :, None] * rotated[:, None], 1)
+        residual = fit / (1 - leverage[:, :, None])
+        out[i] = (residual**2).mean(axis=0)
     return out
 
 
@@ -207,7 +207,7 @@ class _Scaled:
         size2 = np.einsum("ij,ij->i", self.rows, self.rows)
         self.product: FloatArray = self.rows @ self.rows.T
         self.distance2: FloatArray = np.maximum(size2[:, None] + size2 - 2 * self.product, 0.0)
-        pairs = self.distance2[np.triu_indices(len(size2), 1)]
+        pairs = self.distance2[~np.tri(len(size2), dtype=np.bool_)]
         median = float(np.median(pairs)) if len(pairs) else 0.0
         self.exponent = -0.5 / (choice.width * max(median, 1e-12 * LINE_VARIANCE))
 
