@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -145,6 +146,26 @@ def without_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
     from usdface.model.mapping import candidates
 
     monkeypatch.setattr(candidates, "MINIMUM_TO_COMPARE", sys.maxsize)
+
+
+@pytest.fixture
+def placement_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the picture of the placement empty, where a test is not of it."""
+    from usdface.steps.references import select
+
+    monkeypatch.setattr(select, "draw_placement", _empty_picture)
+
+
+@pytest.fixture
+def coverage_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the picture of the coverage empty, where a test is not of it."""
+    from usdface.steps.inputs import coverage_report
+
+    monkeypatch.setattr(coverage_report, "draw_coverage", _empty_picture)
+
+
+def _empty_picture(*_: object, **__: object) -> np.ndarray:
+    return np.zeros((8, 8, 3), np.uint8)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from usdface.usdio.take.write import write_take
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "deform.md"
 
 
-@pytest.mark.usefixtures("without_comparison")
+@pytest.mark.usefixtures("without_comparison", "placement_not_drawn", "coverage_not_drawn")
 def test_the_page_on_any_mesh_runs_from_top_to_bottom(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

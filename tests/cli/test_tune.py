@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from tests.regenerate import REPOSITORY
-from tests.steps.references.test_select import placement_not_drawn
 from tests.steps.references.test_select import spec as select_spec
 from tests.steps.small_shot import PAIRS, Shot
 from tests.test_docs import commands
@@ -28,7 +27,7 @@ from usdface.specs.references import ReferencesCoverageSpec
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 
-__all__ = ["placement_not_drawn"]  # a fixture of the selection's tests
+pytestmark = pytest.mark.usefixtures("placement_not_drawn")
 
 
 def run(*arguments: str) -> int:

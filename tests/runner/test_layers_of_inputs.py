@@ -17,7 +17,9 @@ from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import correct_binding
 
-pytestmark = pytest.mark.usefixtures("without_comparison")
+pytestmark = pytest.mark.usefixtures(
+    "without_comparison", "placement_not_drawn", "coverage_not_drawn"
+)
 
 
 def step(shot: Shot, name: str) -> Spec:

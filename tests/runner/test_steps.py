@@ -32,7 +32,9 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
-pytestmark = pytest.mark.usefixtures("without_comparison")
+pytestmark = pytest.mark.usefixtures(
+    "without_comparison", "placement_not_drawn", "coverage_not_drawn"
+)
 
 
 def run(spec: Spec) -> StepResult:

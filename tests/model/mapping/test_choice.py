@@ -81,6 +81,7 @@ def _dense_face(name: str) -> SyntheticFace:
     )
 
 
+@pytest.mark.usefixtures("without_comparison")
 @pytest.mark.parametrize(("name", "apart"), [("m", 60), ("m", 480), ("iris_", 480)])
 def test_landmarks_that_err_together_are_believed_less(
     monkeypatch: pytest.MonkeyPatch, name: str, apart: int

@@ -53,7 +53,9 @@ from usdface.usdio.take.read import TakeReader, read_take
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
-pytestmark = pytest.mark.usefixtures("without_comparison")
+pytestmark = pytest.mark.usefixtures(
+    "without_comparison", "placement_not_drawn", "coverage_not_drawn"
+)
 
 
 def run(spec: Spec) -> StepResult:

@@ -16,14 +16,14 @@ from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesAddSpec, ReferencesImportSpec, SelectSpec
 from usdface.specs.retarget import PairsImportSpec
 from usdface.specs.review import EvaluateSpec
-from usdface.steps.inputs import coverage_report
-from usdface.steps.references import select
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 
-pytestmark = pytest.mark.usefixtures("without_comparison")
+pytestmark = pytest.mark.usefixtures(
+    "without_comparison", "placement_not_drawn", "coverage_not_drawn"
+)
 
 COUNT = 12
 DRIVEN = (
@@ -33,11 +33,8 @@ DRIVEN = (
 
 
 @pytest.fixture
-def driven(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> Path:
+def driven(shot: Shot) -> Path:
     """The shot's rig with a combination and an in-between."""
-    nothing = np.zeros((8, 8, 3), np.uint8)
-    monkeypatch.setattr(select, "draw_placement", lambda *given, **named: nothing)
-    monkeypatch.setattr(coverage_report, "draw_coverage", lambda *given, **named: nothing)
     rig = read_rig(shot / "hero.usdc")
     skin, *others = rig.meshes
     bulge = ShapeKey(1.0, np.arange(5), np.full((5, 3), 0.5))

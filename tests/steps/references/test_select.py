@@ -22,8 +22,6 @@ from usdface.media.picture.reference_sheet import ReferenceRow, compose_referenc
 from usdface.numerics.measure.face_regions import REGIONS
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
-from usdface.steps.inputs import coverage_report
-from usdface.steps.references import select
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import read_keyed_references, read_tuned_pairs
@@ -33,19 +31,7 @@ from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
-
-@pytest.fixture(autouse=True)
-def placement_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing the placement takes most of a selection's time and is not what is tested."""
-    nothing = np.zeros((8, 8, 3), np.uint8)
-    monkeypatch.setattr(select, "draw_placement", lambda *given, **named: nothing)
-
-
-@pytest.fixture(autouse=True)
-def coverage_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is drawn of the coverage is tested with what lies beside a selection."""
-    nothing = np.zeros((8, 8, 3), np.uint8)
-    monkeypatch.setattr(coverage_report, "draw_coverage", lambda *given, **named: nothing)
+pytestmark = pytest.mark.usefixtures("placement_not_drawn", "coverage_not_drawn")
 
 
 def spec(shot: Shot, **changed: object) -> SelectSpec:

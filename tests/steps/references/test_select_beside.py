@@ -9,7 +9,7 @@ import pytest
 from pxr import Usd
 from scipy.spatial.transform import Rotation
 
-from tests.steps.references.test_select import placement_not_drawn, spec
+from tests.steps.references.test_select import spec
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.assets import Video
 from usdface.core.errors import InputError
@@ -32,7 +32,7 @@ from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
-__all__ = ["placement_not_drawn"]  # a fixture that every test here uses
+pytestmark = pytest.mark.usefixtures("placement_not_drawn")
 
 
 def coverage_spec(shot: Shot, take: str, **changed: object) -> ReferencesCoverageSpec:

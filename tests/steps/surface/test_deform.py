@@ -29,8 +29,6 @@ from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.references import SelectSpec
 from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
-from usdface.steps.inputs import coverage_report
-from usdface.steps.references import select
 from usdface.steps.surface import picture, plan
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
@@ -247,11 +245,8 @@ def test_shapes_are_named_from_a_csv(folder: Path) -> None:
     assert read_rig(folder / "scan.rig.usda").shapes == ("smile", "smile_2")
 
 
-def test_shapes_are_made_of_the_references_of_a_take(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for module, name in ((select, "draw_placement"), (coverage_report, "draw_coverage")):
-        monkeypatch.setattr(module, name, lambda *given, **named: np.zeros((8, 8, 3), np.uint8))
+@pytest.mark.usefixtures("placement_not_drawn", "coverage_not_drawn")
+def test_shapes_are_made_of_the_references_of_a_take(folder: Path) -> None:
     run(make_shapes(folder, count=3))
     chosen = SelectSpec(
         takes=(folder / "talk.take.usda",),
