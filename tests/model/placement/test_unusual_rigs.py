@@ -30,6 +30,17 @@ def landmarks(rig: Rig) -> dict[str, FloatArray]:
     return {name: at @ skin.frame for name, at in find_landmarks(skin, rig.shapes).items()}
 
 
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return demo_rig()
+
+
+@pytest.fixture(scope="module")
+def usual(rig: Rig) -> dict[str, FloatArray]:
+    """Return the landmarks of the rig as it is."""
+    return landmarks(rig)
+
+
 def with_shape(rig: Rig, mesh: RigMesh, name: str, offsets: FloatArray) -> Rig:
     """Return a rig with one more shape, of a mesh that it has or not."""
     key = ShapeKey(1.0, np.arange(len(mesh.points)), offsets)
@@ -50,14 +61,15 @@ def mapped(rig: Rig, change: Callable[[ShapeKey], ShapeKey], limits: FloatArray)
 
 
 @pytest.mark.parametrize("beside", [0.0, 400.0])
-def test_a_hidden_copy_is_no_second_face(beside: float) -> None:
-    rig = demo_rig()
+def test_a_hidden_copy_is_no_second_face(
+    rig: Rig, usual: dict[str, FloatArray], beside: float
+) -> None:
     copies = tuple(
         replace(m, path=f"{m.path}_copy", points=m.points + np.eye(3)[0] * beside, visible=False)
         for m in rig.meshes
     )
     found = landmarks(replace(rig, meshes=(*rig.meshes, *copies)))
-    for name, place in landmarks(rig).items():
+    for name, place in usual.items():
         np.testing.assert_allclose(found[name], place, atol=1e-6)
     all_hidden = tuple(replace(m, visible=False) for m in rig.meshes)
     assert landmarks(replace(rig, meshes=all_hidden)).keys() == found.keys()
@@ -65,8 +77,9 @@ def test_a_hidden_copy_is_no_second_face(beside: float) -> None:
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("degrees", [10.0, 60.0])
-def test_a_shape_that_turns_the_head_is_no_expression(axis: str, degrees: float) -> None:
-    rig = demo_rig()
+def test_a_shape_that_turns_the_head_is_no_expression(
+    rig: Rig, usual: dict[str, FloatArray], axis: str, degrees: float
+) -> None:
     skin = max(rig.meshes, key=lambda mesh: len(mesh.points))
     height = skin.points[:, 1]
     low, high = np.quantile(height, [0.02, 0.3])
@@ -74,36 +87,37 @@ def test_a_shape_that_turns_the_head_is_no_expression(axis: str, degrees: float)
     about = skin.points - skin.points.mean(axis=0)
     turned = Rotation.from_euler(axis, degrees, degrees=True).apply(about)
     found = landmarks(with_shape(rig, skin, "headTurn", share * (turned - about)))
-    for name, place in landmarks(rig).items():
+    for name, place in usual.items():
         np.testing.assert_allclose(found[name], place, atol=1e-6)
 
 
-def test_a_shape_that_hides_a_part_far_away_is_no_expression() -> None:
-    rig = demo_rig()
+def test_a_shape_that_hides_a_part_far_away_is_no_expression(
+    rig: Rig, usual: dict[str, FloatArray]
+) -> None:
     points = rig.meshes[0].points.mean(axis=0) + 10 * np.eye(3)
     prop = RigMesh("/prop", points, np.array([3]), np.arange(3))
     hiding = with_shape(rig, prop, "hide", np.tile([0.0, -10_000.0, 0.0], (3, 1)))
     found = landmarks(hiding)
-    for name, place in landmarks(rig).items():
+    for name, place in usual.items():
         np.testing.assert_allclose(found[name], place, atol=_SAMPLING_MM)
-    usual = len(Deformer(rig).shapes.face_points)
-    assert len(Deformer(hiding).shapes.face_points) == pytest.approx(usual, rel=0.01)
+    count = len(Deformer(rig).shapes.face_points)
+    assert len(Deformer(hiding).shapes.face_points) == pytest.approx(count, rel=0.01)
 
 
 @pytest.mark.parametrize("end", [100.0, 0.1, -1.0])
-def test_ranges_of_any_unit_and_sign_show_one_face(end: float) -> None:
-    rig = demo_rig()
+def test_ranges_of_any_unit_and_sign_show_one_face(
+    rig: Rig, usual: dict[str, FloatArray], end: float
+) -> None:
     limits = np.sort([0.0, end])
     other = mapped(rig, lambda key: replace(key, offsets=key.offsets / end), limits)
     found = landmarks(other)
-    for name, place in landmarks(rig).items():
+    for name, place in usual.items():
         np.testing.assert_allclose(found[name], place, atol=1e-3)
     assert check_rig_upright(other) == check_rig_upright(rig)
     assert facing_degrees(other) == facing_degrees(rig)
 
 
-def test_a_mask_looks_ahead_whichever_way_its_faces_wind() -> None:
-    rig = demo_rig()
+def test_a_mask_looks_ahead_whichever_way_its_faces_wind(rig: Rig) -> None:
     skin = max(rig.meshes, key=lambda mesh: len(mesh.points))
     corners = skin.face_indices.reshape(-1, skin.face_counts[0])
     front = skin.points[corners, 2].min(axis=1) > np.quantile(skin.points[:, 2], 0.5)

@@ -87,7 +87,7 @@ def test_single_precision_predicts_within_a_ten_thousandth_of_a_millimetre(model
 
 
 def test_learning_that_starts_from_a_model_ends_where_learning_from_nothing_does():
-    face = simulate_face(frames=1500, dropout_share=0.05)
+    face = simulate_face(frames=600, dropout_share=0.05)
     good = face.visible
     noisy = face.truth + 0.15 * np.random.default_rng(0).standard_normal(face.truth.shape)
     noisy[face.visible & (np.random.default_rng(1).random(good.shape) < 1e-3)] += 20.0
