@@ -177,6 +177,7 @@ def filmed(shot: Shot) -> Path:
     return shot / "filmed.take.usda"
 
 
+@pytest.mark.usefixtures("coverage_not_drawn")
 def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> None:
     out = shot / "new.references.usda"
     take = filmed(shot)
@@ -224,6 +225,7 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
     assert not (shot / "new.references.images").exists()
 
 
+@pytest.mark.usefixtures("coverage_not_drawn")
 def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) -> None:
     take = filmed(shot)
     execute(spec(shot, takes=(take,)))
