@@ -159,7 +159,7 @@ def test_a_layer_that_another_program_damaged_is_refused_until_it_is_mended(
     layer.Export(str(tuned_path(asset)))
     damaged = tuned_path(asset).read_bytes()
     for _ in range(2):
-        with pytest.raises(InputError, match="time code 4: 2 values where 3"):
+        with pytest.raises(InputError, match="time code 4: 2 values for 3 names"):
             put(session, 1, jawOpen=0.6)
         session.save()
         assert tuned_path(asset).read_bytes() == damaged

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.errors import InputError
+from usdface.core.text import pluralize
 
 _GAPS = "face:source:unseen"
 """Of weights in takes, and in performances retargeted from them."""
@@ -238,25 +239,40 @@ def read_array_samples(
     path: Path,
     attribute: Usd.Attribute,
     times: Sequence[float],
-    shape: tuple[int, ...],
+    names: Sequence[str],
+    size: tuple[int, ...] = (),
     *,
+    kind: type[np.floating] = np.float64,
     remedy: str,
-) -> FloatArray:
-    """Return an array attribute over time, finite numbers: (times, *shape)."""
-    out = np.zeros((len(times), *shape))
-    if not shape[0]:
+) -> NDArray[Any]:
+    """Return an array attribute over time, finite numbers: (times, names, *size).
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the elements of a sample.
+    size : tuple of int
+        Shape of an element.
+    """
+    out = np.zeros((len(times), len(names), *size), kind)
+    if not names:
         return out
+    where = f"{path} <{attribute.GetPath()}> time code"
     query = Usd.AttributeQuery(attribute)  # twice as fast as the attribute
     for index, time in enumerate(times):
         value = query.Get(time)
-        row = None if value is None else np.asarray(value, np.float64)
-        if row is None or row.shape != shape or not np.isfinite(row).all():
-            count = "none" if row is None else f"{len(row)}"
-            raise InputError(
-                f"{path} <{attribute.GetPath()}> time code {time}: {count} values where "
-                f"{shape[0]} finite ones are needed, one for each name; {remedy}"
-            )
-        out[index] = row
+        if value is None or len(value) != len(names):
+            count = "no value" if value is None else pluralize(len(value), "value")
+            expected = pluralize(len(names), "name")
+            raise InputError(f"{where} {time:g}: {count} for {expected}; {remedy}")
+        out[index] = value
+    with np.errstate(over="ignore", invalid="ignore"):
+        sum_is_finite = np.isfinite(out.sum())  # four times as fast as of each number
+    if not sum_is_finite and not (finite := np.isfinite(out)).all():
+        row, column, *_ = np.argwhere(~finite)[0].tolist()
+        raise InputError(
+            f"{where} {times[row]:g}: {names[column]} is {out[row, column]}, not finite; {remedy}"
+        )
     return out
 
 

@@ -132,8 +132,8 @@ def exported(path: Path, names: list[str], samples: list[object]) -> Path:
 @pytest.mark.parametrize(
     ("sample", "fault"),
     [
-        (Sdf.ValueBlock(), "has no value"),
-        ([0.5], "has 1 weight for 2 shapes"),
+        (Sdf.ValueBlock(), "no value for 2 names"),
+        ([0.5], "1 value for 2 names"),
         ([0.5, np.nan], "smile is nan, not finite"),
     ],
 )

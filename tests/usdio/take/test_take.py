@@ -299,9 +299,9 @@ def spoil_api(layer: Sdf.Layer) -> None:
     ("spoil", "message"),
     [
         (spoil_rate, r"timeCodesPerSecond is 0; a take needs a rate above 0"),
-        (spoil_names, r"points> frame 101: 4 points for 1 marker names"),
-        (spoil_nan, r"points> frame 105: marker 2 is NaN"),
-        (spoil_weights, r"Weights> time code 105: 2 values where 2 finite ones are needed"),
+        (spoil_names, r"points> time code 101: 4 values for 1 name"),
+        (spoil_nan, r"points> time code 105: .* is \[nan nan nan\], not finite"),
+        (spoil_weights, r"Weights> time code 105: .* is nan, not finite"),
         (spoil_schema, r"written with usdface schema 99, this version knows 1; update usdface"),
         (spoil_api, r"no FaceTakeAPI; make one from it with `usdface ingest`"),
     ],

@@ -1,13 +1,15 @@
 """Results of checks, and the samples that several checks use."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from pxr import Usd, UsdSkel
 
 from usdface.core.arrays import Float32Array, FloatArray
-from usdface.usdio.authoring import names_in
+from usdface.core.errors import InputError
+from usdface.usdio.authoring import names_in, read_array_samples
 
 
 @dataclass(frozen=True)
@@ -58,16 +60,13 @@ def read_samples(prim: Usd.Prim) -> Samples | None:
     times = attribute.GetTimeSamples() if attribute else []
     if not len(times) or not names:
         return None
-    values = np.empty((len(times), len(names)), dtype=np.float32)
-    query = Usd.AttributeQuery(attribute)
-    for index, time in enumerate(times):
-        row = query.Get(time)
-        if row is None or len(row) != len(names):
-            return None
-        values[index] = row
-    if not np.isfinite(values).all():
+    stage = prim.GetStage()
+    file = Path(stage.GetRootLayer().realPath)
+    try:
+        values = read_array_samples(file, attribute, times, names, kind=np.float32, remedy="")
+    except InputError:  # a fault of `check_weights`
         return None
-    rate = float(prim.GetStage().GetTimeCodesPerSecond())
+    rate = float(stage.GetTimeCodesPerSecond())
     return Samples(str(attribute.GetPath()), names, np.array(times), values, rate)
 
 

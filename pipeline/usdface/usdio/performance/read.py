@@ -15,8 +15,8 @@ from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.rates import exact_rate, label_alike, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
-from usdface.core.text import first_few, pluralize
-from usdface.usdio.authoring import names_in, read_gaps, text_of, value_of
+from usdface.core.text import first_few
+from usdface.usdio.authoring import names_in, read_array_samples, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (
@@ -236,25 +236,10 @@ class PerformanceReader:
         """Return the weights as they were solved, (frames, shapes) float32."""
         first = self.first_frame if first is None else first
         last = self.last_frame if last is None else last
-        values = np.empty((last - first + 1, len(self.names)), dtype=np.float32)
-        query = Usd.AttributeQuery(self._weights)  # twice as fast as the attribute
-        for index, frame in enumerate(range(first, last + 1)):
-            row = query.Get(frame)
-            if row is None:
-                raise self._sample_error(frame, "has no value, as of a block")
-            if len(row) != len(self.names):
-                count = pluralize(len(row), "weight")
-                raise self._sample_error(frame, f"has {count} for {len(self.names)} shapes")
-            values[index] = row
-        for row, column in np.argwhere(~np.isfinite(values))[:1].tolist():
-            fault = f"{self.names[column]} is {values[row, column]}, not finite"
-            raise self._sample_error(first + row, fault)
-        return values
-
-    def _sample_error(self, frame: int, fault: str) -> InputError:
         remedy = "map again" if self.animation.HasAPI("FaceSolveAPI") else "export the file again"
-        return InputError(
-            f"{self.path} <{self._weights.GetPath()}> time code {frame}: {fault}; {remedy}"
+        frames = range(first, last + 1)
+        return read_array_samples(
+            self.path, self._weights, frames, self.names, kind=np.float32, remedy=remedy
         )
 
     def edited(self, first: int | None = None, last: int | None = None) -> Float32Array:

@@ -52,8 +52,8 @@ def read_references(path: Path) -> References:
     pairs = range(1, round(stage.GetEndTimeCode()) + 1)
     marker_names = tuple(map(str, points.GetPrim().GetAttribute("face:markers:names").Get()))
     shape_names = tuple(map(str, animation.GetBlendShapesAttr().Get()))
-    weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, (len(shape_names),))
-    markers = _stack(path, points.GetPointsAttr(), pairs, (len(marker_names), 3))
+    weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, shape_names)
+    markers = _stack(path, points.GetPointsAttr(), pairs, marker_names, (3,))
     samples = points.GetPointsAttr().GetNumTimeSamples()
     if samples != len(pairs):
         raise InputError(
@@ -96,7 +96,7 @@ def read_references(path: Path) -> References:
         rate=_read_rate(root, path),
         placement=_read_placement_path(root, path),
         source_names=source_names,
-        source=_stack(path, source.GetBlendShapeWeightsAttr(), pairs, (len(source_names),))
+        source=_stack(path, source.GetBlendShapeWeightsAttr(), pairs, source_names)
         if source
         else None,
     )
@@ -156,7 +156,11 @@ def _check_layers(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) ->
 
 
 def _stack(
-    path: Path, attribute: Usd.Attribute, pairs: range, shape: tuple[int, ...]
+    path: Path,
+    attribute: Usd.Attribute,
+    pairs: range,
+    names: tuple[str, ...],
+    size: tuple[int, ...] = (),
 ) -> FloatArray:
     samples = attribute.GetNumTimeSamples()
     if len(pairs) > samples:  # the end time code may be damaged
@@ -165,7 +169,7 @@ def _stack(
             f"{samples}; restore the layer or select again"
         )
     remedy = "restore the layer or select again"
-    return read_array_samples(path, attribute, pairs, shape, remedy=remedy)
+    return read_array_samples(path, attribute, pairs, names, size, remedy=remedy)
 
 
 def _read_motion(root: Usd.Prim) -> MotionSpace | None:

@@ -248,23 +248,23 @@ def controls_at(
     """Read controls at time codes."""
     skel = UsdSkel.Animation(animation)
 
-    def read(attribute: Usd.Attribute, *shape: int) -> FloatArray:
-        return read_array_samples(path, attribute, times, shape, remedy="key it again")
+    def read(attribute: Usd.Attribute, names: tuple[str, ...], *size: int) -> FloatArray:
+        return read_array_samples(path, attribute, times, names, size, remedy="key it again")
 
     shapes = names_in(skel.GetBlendShapesAttr())
-    controls = shape_controls(shapes, read(skel.GetBlendShapeWeightsAttr(), len(shapes)))
+    controls = shape_controls(shapes, read(skel.GetBlendShapeWeightsAttr(), shapes))
     joints = names_in(skel.GetJointsAttr())
     if joints:
         # Quaternions are x, y, z, w in memory.
-        quaternions = read(skel.GetRotationsAttr(), len(joints), 4)[..., [3, 0, 1, 2]]
+        quaternions = read(skel.GetRotationsAttr(), joints, 4)[..., [3, 0, 1, 2]]
         with as_input_error(f"{path} <{animation.GetPath()}.rotations>"):
             rotations = normalize_quaternions(quaternions)
         controls = replace(
             controls,
             joints=joints,
-            translations=read(skel.GetTranslationsAttr(), len(joints), 3),
+            translations=read(skel.GetTranslationsAttr(), joints, 3),
             rotations=rotations,
-            scales=read(skel.GetScalesAttr(), len(joints), 3),
+            scales=read(skel.GetScalesAttr(), joints, 3),
         )
     if attributes and top is not None:
         driven = [control_attribute(top, name, path) for name in attributes]

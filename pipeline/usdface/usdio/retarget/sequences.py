@@ -18,6 +18,7 @@ from usdface.usdio.authoring import (
     author_uniform,
     define_prim,
     names_in,
+    read_array_samples,
     text_of,
 )
 from usdface.usdio.layers import (
@@ -77,10 +78,9 @@ def read_sequence(path: Path) -> EmotionalSequence:
     target, times = _read_side(stage, _TARGET, path)
     names = names_in(root.GetAttribute(ATTRIBUTES))
     if names:
-        rows = [root.GetAttribute(VALUES.name).Get(time) for time in times]
-        if any(row is None or len(row) != len(names) for row in rows):
-            raise InputError(f"{path} <{VALUES}>: needs {len(names)} values at every time code")
-        target = replace(target, attributes=names, values=np.array(rows, float))
+        attribute, remedy = root.GetAttribute(VALUES.name), "make the sequence again"
+        values = read_array_samples(path, attribute, times, names, remedy=remedy)
+        target = replace(target, attributes=names, values=values)
     weight = root.GetAttribute(KEY_WEIGHT.name)
     weights = [weight.Get(time) if weight else None for time in times]
     return EmotionalSequence(

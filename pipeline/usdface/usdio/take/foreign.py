@@ -88,9 +88,10 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
         channels = names_in(animation.GetBlendShapesAttr())
         attribute = animation.GetBlendShapeWeightsAttr()
         times, remedy = grid.stage_times.tolist(), "export the animation again"
-        values = read_array_samples(path, attribute, times, (len(channels),), remedy=remedy)
-        single = values.astype(np.float32)
-        source = WeightsClip(channels, single, grid.first_frame, grid.rate)
+        values = read_array_samples(
+            path, attribute, times, channels, kind=np.float32, remedy=remedy
+        )
+        source = WeightsClip(channels, values, grid.first_frame, grid.rate)
     return ForeignTake(grid.rate, grid.first_frame, kind, names, positions, visible, source)
 
 

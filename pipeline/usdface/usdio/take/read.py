@@ -167,9 +167,16 @@ class TakeReader:
                 f"{self.path} <{prim.GetPath()}>: face:markers:names is empty; "
                 "ingest the capture again"
             )
-        read = self._read_vectors(prim, frames, len(names))
+        read = read_array_samples(
+            self.path,
+            UsdGeom.Points(prim).GetPointsAttr(),
+            frames,
+            names,
+            (3,),
+            kind=np.float32,
+            remedy="ingest the capture again; a marker that is not seen keeps its last position",
+        )
         shape = read.shape[:2]
-        positions = self._to_ours(read)
         visible = self._read_primvar(prim, VISIBLE, frames, shape, np.dtype(np.bool_))
         confidence = self._read_primvar(
             prim, MARKER_CONFIDENCE, frames, shape, np.dtype(np.float32)
@@ -177,7 +184,7 @@ class TakeReader:
         space = text_of(prim, "face:markers:space")
         return Markers(
             names=names,
-            positions=positions,
+            positions=self._to_ours(read),
             visible=visible,
             confidence=confidence,
             rigid=names_in(prim.GetAttribute("face:markers:rigid")),
@@ -192,36 +199,6 @@ class TakeReader:
             read *= ours[0, 0]
             return read
         return np.asarray((read.reshape(-1, 3) @ ours.T).reshape(read.shape))
-
-    def _read_vectors(self, prim: Usd.Prim, frames: Sequence[int], count: int) -> np.ndarray:
-        attribute = UsdGeom.Points(prim).GetPointsAttr()
-        out = np.empty((len(frames), count, 3), dtype=np.float32)
-        query = self._query(attribute)
-        for index, frame in enumerate(frames):
-            value = query.Get(frame)
-            if value is None or len(value) != count:
-                got = 0 if value is None else len(value)
-                raise InputError(
-                    f"{self.path} <{attribute.GetPath()}> frame {frame}: {got} points for "
-                    f"{count} marker names; ingest the capture again"
-                )
-            out[index] = value
-        with np.errstate(over="ignore", invalid="ignore"):
-            sum_is_finite = np.isfinite(out.sum())
-        if not sum_is_finite:
-            self._check_finite(out, attribute, frames)
-        return out
-
-    def _check_finite(
-        self, read: np.ndarray, attribute: Usd.Attribute, frames: Sequence[int]
-    ) -> None:
-        bad = ~np.isfinite(read).all(axis=2)
-        if bad.any():
-            frame, marker = np.argwhere(bad)[0]
-            raise InputError(
-                f"{self.path} <{attribute.GetPath()}> frame {frames[frame]}: marker {marker} is "
-                "NaN or infinite; a marker that is not seen must keep its last position"
-            )
 
     def _read_primvar(
         self,
@@ -274,9 +251,10 @@ class TakeReader:
         names = names_in(animation.GetBlendShapesAttr())
         weights = animation.GetBlendShapeWeightsAttr()
         remedy = "ingest the capture again"
-        values = read_array_samples(self.path, weights, frames, (len(names),), remedy=remedy)
-        single = values.astype(np.float32)
-        return WeightsClip(names, single, frames[0], self.rate, read_gaps(prim))
+        values = read_array_samples(
+            self.path, weights, frames, names, kind=np.float32, remedy=remedy
+        )
+        return WeightsClip(names, values, frames[0], self.rate, read_gaps(prim))
 
     @refusing_wrong_types
     def head_motion_from_neutral(self, first: int, last: int) -> np.ndarray | None:
