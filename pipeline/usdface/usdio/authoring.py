@@ -42,9 +42,32 @@ def prim_in_scope(stage: Usd.Stage, type_name: str) -> Usd.Prim | None:
     return next((prim for prim in prims if prim and prim.GetTypeName() == type_name), None)
 
 
+def top_path(path: str | Sdf.Path) -> Sdf.Path:
+    """Return the path of the top prim at or above a prim, which references of a rig are to."""
+    return Sdf.Path(path).GetPrefixes()[0]
+
+
+def prim_or_root(stage: Usd.Stage, path: str | None, *, file: Path, option: str) -> Usd.Prim:
+    """Return the prim that an option names, or the pseudo-root of the stage if it names none."""
+    prim = stage.GetPseudoRoot() if path is None else stage.GetPrimAtPath(path)
+    if not prim:
+        raise InputError(f"{file}: there is no prim <{path}>; check {option}")
+    return prim
+
+
 def prims_below(top: Usd.Prim, kind: type) -> list[Usd.Prim]:
     """Return the prims of a schema at and below a prim, those in instances too."""
     return [each for each in Usd.PrimRange(top, Usd.TraverseInstanceProxies()) if each.IsA(kind)]
+
+
+def define_reference_prim(
+    layer: Sdf.Layer, path: Sdf.Path, asset: str, source: Sdf.Path
+) -> Sdf.PrimSpec:
+    """Define a prim that only references a prim of an asset."""
+    prim = Sdf.CreatePrimInLayer(layer, path)
+    prim.specifier = Sdf.SpecifierDef
+    prim.referenceList.prependedItems = [Sdf.Reference(asset, source)]
+    return prim
 
 
 def apply_api(prim: Sdf.PrimSpec, name: str) -> None:
@@ -72,6 +95,22 @@ def text_of(prim: Usd.Prim, name: str, time: float | None = None) -> str:
     attribute = prim.GetAttribute(name)
     when = Usd.TimeCode.Default() if time is None else time
     return str(attribute.Get(when) or "") if attribute else ""
+
+
+def unique_names(wanted: Iterable[str], *, longest: int | None = None) -> list[str]:
+    """Return names in the same order, with a number appended to those that repeat earlier ones.
+
+    `longest`: number of characters beyond which a name is cut.
+    """
+    names = dict[str, None]()
+    for base in wanted:
+        unique, number = base[:longest], 2
+        while unique in names:
+            ending = f"_{number}"
+            unique = base + ending if longest is None else base[: longest - len(ending)] + ending
+            number += 1
+        names[unique] = None
+    return list(names)
 
 
 def names_in(attribute: Usd.Attribute) -> tuple[str, ...]:
@@ -130,6 +169,11 @@ def paths_in(layer: Sdf.Layer) -> list[Sdf.Path]:
     paths: list[Sdf.Path] = []
     layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
     return paths
+
+
+def prim_paths_in(layer: Sdf.Layer) -> list[Sdf.Path]:
+    """Return the paths of all prims of a layer."""
+    return [path for path in paths_in(layer) if path.IsPrimPath()]
 
 
 def sampled_properties(layer: Sdf.Layer) -> list[Sdf.Path]:

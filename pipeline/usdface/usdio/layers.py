@@ -173,11 +173,20 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
 
 
 def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:
-    """Store provenance in a layer's custom data, without changing those of other tools."""
-    if provenance is not None:
-        layer.customLayerData = dict(layer.customLayerData) | {
-            "usdface": provenance_data(provenance)
-        }
+    """Store provenance in ``customLayerData["usdface"]``; other tools' data are not changed."""
+    if provenance is None:
+        return
+    data = {
+        "version": provenance.version,
+        "schema": SCHEMA_VERSION,
+        "step": provenance.step,
+        "spec": provenance.spec,
+        "specHash": provenance.spec_hash,
+        # Two lists, since a path may have characters that a dictionary key may not.
+        "inputs": Vt.StringArray(list(provenance.inputs.keys())),
+        "inputHashes": Vt.StringArray(list(provenance.inputs.values())),
+    }
+    layer.customLayerData = dict(layer.customLayerData) | {"usdface": data}
 
 
 def _reload(path: Path) -> None:
@@ -194,20 +203,6 @@ def save_layer(layer: Sdf.Layer, path: Path) -> None:
             f"{path}: USD could not save it; is the disk full, or the folder gone? Nothing under "
             "its name was changed"
         )
-
-
-def provenance_data(provenance: Provenance) -> dict[str, object]:
-    """Return the provenance as ``customLayerData["usdface"]``."""
-    return {
-        "version": provenance.version,
-        "schema": SCHEMA_VERSION,
-        "step": provenance.step,
-        "spec": provenance.spec,
-        "specHash": provenance.spec_hash,
-        # Two lists, since a path may have characters that a dictionary key may not.
-        "inputs": Vt.StringArray(list(provenance.inputs.keys())),
-        "inputHashes": Vt.StringArray(list(provenance.inputs.values())),
-    }
 
 
 def read_provenance(path: Path) -> Provenance | None:

@@ -8,6 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
+from usdface.usdio.authoring import top_path
 from usdface.usdio.layers import open_layer
 
 Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -31,13 +32,20 @@ def column_matrix(matrix: Gf.Matrix4d) -> FloatArray:
     return np.array(matrix, dtype=np.float64).T
 
 
+def row_matrix(matrix: FloatArray) -> Gf.Matrix4d:
+    """Return a map of column vectors, (3, 3) or (4, 4), as a USD matrix."""
+    whole = np.eye(4)
+    whole[: len(matrix), : len(matrix)] = matrix
+    return Gf.Matrix4d(whole.T.tolist())
+
+
 def rest_transforms(prim: Usd.Prim) -> UsdGeom.XformCache:
     """Return the transforms at rest of all prims under the top prim of one.
 
     At the first samples if one has no default value, where USD takes the identity: exporters sample
     transforms that never change.
     """
-    top = prim.GetStage().GetPrimAtPath(prim.GetPath().GetPrefixes()[0])
+    top = prim.GetStage().GetPrimAtPath(top_path(prim.GetPath()))
     xforms = map(UsdGeom.Xformable, Usd.PrimRange(top, Usd.TraverseInstanceProxies()))
     operations = (op.GetAttr() for xform in xforms if xform for op in xform.GetOrderedXformOps())
     sampled = any(each.GetNumTimeSamples() and each.Get() is None for each in operations)

@@ -21,7 +21,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rates import shift_timecode
 from usdface.core.replacing import replacing
-from usdface.usdio.authoring import paths_in
+from usdface.usdio.authoring import prim_paths_in
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import (
     FIGURES,
@@ -140,7 +140,7 @@ def clear_parts(path: Path) -> None:
 def clip_files(path: Path) -> set[Path]:
     """Return the clips and manifests that a layer uses, of those named after it."""
     layer = open_layer(path)
-    prims = (layer.GetPrimAtPath(place) for place in paths_in(layer) if place.IsPrimPath())
+    prims = map(layer.GetPrimAtPath, prim_paths_in(layer))
     sets = [each for prim in prims for each in dict(prim.GetInfo("clips") or {}).values()]
     clips = [asset for each in sets for asset in each.get("assetPaths", ())]
     manifests = [each["manifestAssetPath"] for each in sets if "manifestAssetPath" in each]

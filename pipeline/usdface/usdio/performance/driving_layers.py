@@ -20,7 +20,13 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import multiply_quaternions
-from usdface.usdio.authoring import author_series, author_uniform, paths_in, sampled_properties
+from usdface.usdio.authoring import (
+    author_series,
+    author_uniform,
+    paths_in,
+    sampled_properties,
+    top_path,
+)
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import WeightsHeader, author_layer_metadata
 from usdface.usdio.retarget.controls import (
@@ -30,7 +36,7 @@ from usdface.usdio.retarget.controls import (
     set_joint_samples,
 )
 from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
-from usdface.usdio.units import column_matrix, rest_transforms, stage_to_ours
+from usdface.usdio.units import column_matrix, rest_transforms, row_matrix, stage_to_ours
 
 TRANSFORM = "xformOp:transform:head"
 
@@ -70,7 +76,7 @@ def write_head_layer(
             prim = Sdf.CreatePrimInLayer(layer, header.animation)
             author_joints(prim, driven.joints)
             set_joint_samples(layer, header.animation, driven, header.first_frame)
-        source = Sdf.Path(rig.prim).GetPrefixes()[0]
+        source = top_path(rig.prim)
         for target in [each for each in world if not each.is_joint]:
             prim = stage.GetPrimAtPath(target.path)
             over = Sdf.CreatePrimInLayer(
@@ -105,7 +111,7 @@ def _turn_joints(
         if target.path not in names:
             names.append(target.path)
             for series, part in zip(
-                (places, turns, scales), decompose_joint(Gf.Matrix4d(rest.T.tolist())), strict=True
+                (places, turns, scales), decompose_joint(row_matrix(rest)), strict=True
             ):
                 series.append(np.tile(part, (len(world), 1)))
         at = names.index(target.path)

@@ -26,7 +26,13 @@ from usdface.numerics.motion.key_reduction import (
     no_edit,
     reduce_keys,
 )
-from usdface.usdio.authoring import author_timing, check_not_instanced, paths_in, retime_layer
+from usdface.usdio.authoring import (
+    author_timing,
+    check_not_instanced,
+    prim_paths_in,
+    retime_layer,
+    top_path,
+)
 from usdface.usdio.layers import new_layers, open_layer, relative_path, usd_errors_as_input_errors
 from usdface.usdio.performance.weights_layer import VARIANT_SET
 from usdface.usdio.units import author_units
@@ -156,11 +162,11 @@ def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
 def edits_elsewhere(performance: Path, animation: Usd.Prim) -> list[str]:
     """Return the prims with edits other than the animation, which have no effect."""
     layer = open_layer(edits_path(performance))
-    others = [path for path in paths_in(layer) if path.IsPrimPath() and path != animation.GetPath()]
     return [
         str(path)
-        for path in others
-        if any(
+        for path in prim_paths_in(layer)
+        if path != animation.GetPath()
+        and any(
             name.startswith((_OFFSET, OVERRIDE))
             for name in layer.GetPrimAtPath(path).attributes.keys()
         )
@@ -258,7 +264,7 @@ def write_edits(
             retime_layer(layer, top.timeCodesPerSecond)
         else:
             author_units(layer, like=performance)
-            layer.defaultPrim = animation.GetPath().GetPrefixes()[0].name
+            layer.defaultPrim = top_path(animation.GetPath()).name
         author_timing(
             layer,
             rate=top.timeCodesPerSecond,

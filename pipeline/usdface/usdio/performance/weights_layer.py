@@ -22,6 +22,7 @@ from usdface.usdio.authoring import (
     author_timing,
     author_uniform,
     define_prim,
+    top_path,
 )
 from usdface.usdio.layers import (
     FRAMES_IN_MEMORY,
@@ -32,7 +33,7 @@ from usdface.usdio.layers import (
     save_layer,
 )
 from usdface.usdio.rig.read import faces_below
-from usdface.usdio.rig.reference import default_rig_path, point_skeletons_at
+from usdface.usdio.rig.reference import point_skeletons_at
 from usdface.usdio.units import author_units
 
 ANIMATION = "FaceSolve"
@@ -306,7 +307,7 @@ def animation_name(rig: Rig) -> str:
     path = Sdf.Path(rig.prim)
     if path.pathElementCount == 1:
         return ANIMATION
-    top = path.GetPrefixes()[0]
+    top = top_path(path)
     stage = open_stage(rig.file)
     if len(faces_below(stage.GetPrimAtPath(top))) < 2:
         return ANIMATION
@@ -334,7 +335,7 @@ def make_header(
         As in `WeightsHeader`.
     """
     return WeightsHeader(
-        rig_path=rig_path or default_rig_path(rig),
+        rig_path=rig_path or str(top_path(rig.prim)),
         shape_names=shape_names,
         rate=rate,
         first_frame=first_frame,
@@ -358,7 +359,7 @@ def author_layer_metadata(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> 
     """Set units, timing and the default prim of a layer of a performance."""
     author_units(layer, like=rig.file)
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
-    layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
+    layer.defaultPrim = top_path(header.rig_path).name
 
 
 def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:

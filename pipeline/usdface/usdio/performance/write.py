@@ -16,12 +16,19 @@ from usdface.core.replacing import check_not_written_since, replacing_group
 from usdface.core.side_files import side_stream
 from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
 from usdface.core.text import first_few
-from usdface.usdio.authoring import author_timing, define_prim, move_samples, paths_in
+from usdface.usdio.authoring import (
+    author_timing,
+    define_prim,
+    define_reference_prim,
+    move_samples,
+    prim_paths_in,
+    top_path,
+)
 from usdface.usdio.layers import (
+    author_provenance,
     new_layer,
     open_layer,
     open_stage,
-    provenance_data,
     read_provenance,
     relative_path,
     save_layer,
@@ -37,7 +44,6 @@ from usdface.usdio.performance.weights_layer import (
     writing_weights,
 )
 from usdface.usdio.rig.reference import (
-    default_rig_path,
     define_reference,
     remove_reference,
     rig_path_of,
@@ -59,24 +65,21 @@ def write_package(
         Stored in the package's first layer.
     """
     rig_file, rig_prim = reader.rig()
-    source = Sdf.Path(rig_prim).GetPrefixes()[0]
+    source = top_path(rig_prim)
     rig_path = Sdf.Path(rig_path_of(reader.stage, reader.animation))
     top_file = weights.with_name("review.usdc")
     with usd_errors_as_input_errors(target, "packing it"):
         top = Sdf.Layer.CreateNew(str(top_file))
         author_units(top, like=rig_file)
-        if provenance is not None:
-            top.customLayerData = {"usdface": provenance_data(provenance)}
+        author_provenance(top, provenance)
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
-        top.defaultPrim = rig_path.GetPrefixes()[0].name
+        top.defaultPrim = top_path(rig_path).name
         driving = [weights.with_name(path_of(reader.path).name) for path_of in _DRIVING_PATHS]
         below = [*_copy_driving_layers(reader, driving), weights]
         top.subLayerPaths = [f"./{each.name}" for each in below]
         for above in rig_path.GetParentPath().GetPrefixes():
             define_prim(top, above, "Xform")
-        prim = Sdf.CreatePrimInLayer(top, rig_path)
-        prim.specifier = Sdf.SpecifierDef
-        prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
+        define_reference_prim(top, rig_path, str(rig_file), source)
         _copy_rig_use(top, reader, str(source))
         save_layer(top, target)
         _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
@@ -245,7 +248,7 @@ def writing_top(
         if path.is_file():
             layer.TransferContent(open_layer(path))
         author_units(layer, like=rig.file)
-        layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
+        layer.defaultPrim = top_path(header.rig_path).name
         weights_asset = relative_path(weights_path(path), path)
         below = list(layer.subLayerPaths)
         is_open = weights_asset in below
@@ -255,7 +258,7 @@ def writing_top(
         author_timing(layer, rate=header.rate, first=first, last=last)
         define_reference(layer, header.rig_path, rig, path, replace_rig=is_open)
         if copied is not None:
-            _copy_rig_use(layer, copied, default_rig_path(rig))
+            _copy_rig_use(layer, copied, str(top_path(rig.prim)))
         if rig_before not in ("", header.rig_path):
             remove_reference(layer, rig_before, {rig.file.resolve(), *files_before}, path)
         if not is_open:
@@ -309,7 +312,7 @@ def write_takes(
         Performances of one rig at one path and rate, by the name of the variant.
     """
     first = next(iter(takes.values()))
-    top = Sdf.Path(first.header.rig_path).GetPrefixes()[0]
+    top = top_path(first.header.rig_path)
     with new_layer(path, provenance) as layer:
         author_units(layer, like=first.path)
         author_timing(
@@ -333,9 +336,6 @@ def write_takes(
 
 def _rig_path_in(layer: Sdf.Layer) -> str:
     """Return the prim path of the rig of a weights layer; empty if unknown."""
-    places = [
-        str(path.GetParentPath())
-        for path in paths_in(layer)
-        if path.IsPrimPath() and path.name.startswith(ANIMATION)
-    ]
+    animations = [path for path in prim_paths_in(layer) if path.name.startswith(ANIMATION)]
+    places = [str(path.GetParentPath()) for path in animations]
     return places[0] if len(places) == 1 else ""

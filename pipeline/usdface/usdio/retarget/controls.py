@@ -22,6 +22,7 @@ from usdface.usdio.authoring import (
     define_prim,
     names_in,
     read_array_samples,
+    top_path,
 )
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
@@ -38,7 +39,7 @@ def find_control_attributes(rig: Rig, patterns: Sequence[str]) -> tuple[str, ...
     as in a shell.
     """
     stage = open_stage(rig.file)
-    top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    top = stage.GetPrimAtPath(top_path(rig.prim))
     return _match_attributes(top, patterns, rig.file)
 
 
@@ -136,7 +137,7 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
         rest = list(skeleton.GetRestTransformsAttr().Get() or ())
     if len(names) < 2 or len(rest) != len(names):
         names, rest = (), []
-    top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    top = stage.GetPrimAtPath(top_path(rig.prim))
     attribute_names = find_control_attributes(rig, attributes)
     values = [control_attribute(top, name, rig.file).Get() or 0.0 for name in attribute_names]
     parts = [decompose_joint(matrix) for matrix in rest]
@@ -311,7 +312,7 @@ def author_attribute_specs(
 ) -> list[Sdf.Path]:
     """Define attributes of a rig below a top prim; return their paths."""
     stage = open_stage(rig.file)
-    of_rig = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    of_rig = stage.GetPrimAtPath(top_path(rig.prim))
     places = []
     for attribute in [control_attribute(of_rig, name, rig.file) for name in names]:
         place = attribute.GetPath().ReplacePrefix(of_rig.GetPath(), top)

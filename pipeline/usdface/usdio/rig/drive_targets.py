@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.authoring import check_not_instanced, names_in, prims_below
+from usdface.usdio.authoring import check_not_instanced, names_in, prims_below, top_path
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.mesh import at_rest
 from usdface.usdio.rig.read import skeletons_of
@@ -78,7 +78,7 @@ def _joints(stage: Usd.Stage, rig: Rig) -> list[str]:
 
 
 def _xforms(stage: Usd.Stage, rig: Rig) -> list[str]:
-    top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    top = stage.GetPrimAtPath(top_path(rig.prim))
     prims = prims_below(top, UsdGeom.Xformable)
     return [str(prim.GetPath()) for prim in prims if not prim.IsA(UsdSkel.Skeleton)]
 

@@ -13,7 +13,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.authoring import check_not_instanced, prims_below
+from usdface.usdio.authoring import check_not_instanced, prim_or_root, prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, rest_transforms, stage_to_ours, transform_points
 
@@ -262,9 +262,7 @@ def at_rest(attribute: Usd.Attribute) -> Any:
 
 
 def _find_mesh(stage: Usd.Stage, path: Path, prim: str | None) -> tuple[Usd.Prim, tuple[str, ...]]:
-    top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
-    if not top:
-        raise InputError(f"{path}: there is no prim <{prim}>; check --mesh-prim")
+    top = prim_or_root(stage, prim, file=path, option="--mesh-prim")
     every = prims_below(stage.GetPseudoRoot(), UsdGeom.Mesh)
     found = [each for each in every if each.GetPath().HasPrefix(top.GetPath())]
     if not found:

@@ -12,7 +12,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode, order_combinations
-from usdface.usdio.authoring import names_in, prims_below, text_of, value_of
+from usdface.usdio.authoring import names_in, prim_or_root, prims_below, text_of, top_path, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
 from usdface.usdio.rig.mesh import PlacedMesh, RestPose, authored_normals, read_geometry
@@ -170,9 +170,7 @@ def faces_below(top: Usd.Prim) -> list[Usd.Prim]:
 
 def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
     """Return the one SkelRoot with BlendShapes in a stage, or below a prim of it."""
-    top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
-    if not top:
-        raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
+    top = prim_or_root(stage, prim, file=path, option="--prim")
     faces = faces_below(top)
     if not faces:
         orphans = [each for each in Usd.PrimRange(top) if _has_shapes(each)]
@@ -201,7 +199,7 @@ def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
 
 def _check_below_top(face: Usd.Prim, path: Path) -> None:
     """Refuse skeletons and BlendShapes that a reference to the face's top prim does not bring."""
-    top = face.GetPath().GetPrefixes()[0]
+    top = top_path(face.GetPath())
     used = [each.GetPath() for each in skeletons_of(face)]
     for mesh in prims_below(face, UsdGeom.Mesh):
         used += UsdSkel.BindingAPI(mesh).GetBlendShapeTargetsRel().GetTargets()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
@@ -18,7 +18,9 @@ from usdface.usdio.authoring import (
     author_uniform,
     check_not_instanced,
     define_prim,
+    define_reference_prim,
     names_in,
+    top_path,
 )
 from usdface.usdio.layers import (
     open_stage,
@@ -33,14 +35,9 @@ from usdface.usdio.rig.read import (
     read_rig,
     skeletons_of,
 )
-from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
+from usdface.usdio.units import MM_PER_STAGE_UNIT, row_matrix, stage_to_ours
 
 UNITS = "xformOp:transform:units"
-
-
-def default_rig_path(rig: Rig) -> str:
-    """Return the default prim path of a rig, that of its top prim."""
-    return str(Sdf.Path(rig.prim).GetPrefixes()[0])
 
 
 def define_reference(
@@ -57,7 +54,7 @@ def define_reference(
     replace_rig : bool
         Replace the layer's reference to its previous rig, if it has none to this one.
     """
-    source = Sdf.Path(rig.prim).GetPrefixes()[0]
+    source = top_path(rig.prim)
     for above in Sdf.Path(rig_path).GetParentPath().GetPrefixes():
         if not layer.GetPrimAtPath(above):
             define_prim(layer, above, "Xform")
@@ -77,14 +74,10 @@ def convert_to_our_units(layer: Sdf.Layer, rig_path: str, rig: Rig) -> None:
     ours = stage_to_ours(stage) / MM_PER_STAGE_UNIT
     if np.allclose(ours, np.eye(3)):
         return
-    top = UsdGeom.Xformable(stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0]))
+    top = UsdGeom.Xformable(stage.GetPrimAtPath(top_path(rig.prim)))
     operations = list(top.GetXformOpOrderAttr().Get() or ()) if top else []
-    matrix = np.eye(4)
-    matrix[:3, :3] = ours.T  # row vectors
     prim = Sdf.CreatePrimInLayer(layer, rig_path)
-    Sdf.AttributeSpec(prim, UNITS, Sdf.ValueTypeNames.Matrix4d).default = Gf.Matrix4d(
-        matrix.tolist()
-    )
+    Sdf.AttributeSpec(prim, UNITS, Sdf.ValueTypeNames.Matrix4d).default = row_matrix(ours)
     order = [UNITS, *map(str, operations)]
     author_uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
 
@@ -157,7 +150,7 @@ def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> 
 def point_skeletons_at(layer: Sdf.Layer, rig_path: str, rig: Rig, animation: Sdf.Path) -> None:
     """Write overs that make the rig's skeletons follow an animation."""
     stage = open_stage(rig.file)
-    top = Sdf.Path(rig.prim).GetPrefixes()[0]
+    top = top_path(rig.prim)
     for skeleton in skeletons_of(stage.GetPrimAtPath(rig.prim)):
         check_not_instanced(rig.file, skeleton)
         path = skeleton.GetPath().ReplacePrefix(top, Sdf.Path(rig_path))
@@ -173,7 +166,7 @@ def rig_path_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
     In our files it is the animation's parent; other tools use other places.
     """
     for skeleton, source in _driven_rigs(stage, animation):
-        below = source.skeleton.MakeRelativePath(source.skeleton.GetPrefixes()[0])
+        below = source.skeleton.MakeRelativePath(top_path(source.skeleton))
         rig_path = skeleton
         for _ in range(below.pathElementCount):
             rig_path = rig_path.GetParentPath()
@@ -221,7 +214,7 @@ def replaced_motion_notes(stage: Usd.Stage, animation: Usd.Prim) -> list[str]:
         source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
         joints = _joints(source) if source else ()
         if not set(joints) <= set(ours):
-            at = source.GetPath().ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], rig_path)
+            at = source.GetPath().ReplacePrefix(top_path(prim), rig_path)
             return [
                 f"{file.name} has an animation of {pluralize(len(joints), 'joint')}, <{at}>, "
                 "which the solve replaces, as a skeleton has one: the joints rest. To keep "
@@ -258,9 +251,7 @@ def stage_with_rig(path: Path, rig: Rig, rig_path: Sdf.Path) -> Usd.Stage:
     """Open a performance with a reference to its rig, if its own is missing."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.subLayerPaths = [str(path.resolve())]
-    prim = Sdf.CreatePrimInLayer(layer, rig_path)
-    reference = Sdf.Reference(str(rig.file.resolve()), Sdf.Path(rig.prim).GetPrefixes()[0])
-    prim.referenceList.prependedItems = [reference]
+    define_reference_prim(layer, rig_path, str(rig.file.resolve()), top_path(rig.prim))
     with usd_errors_as_input_errors(path, "composing it"):
         return Usd.Stage.Open(layer)
 
@@ -353,7 +344,7 @@ def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
 def read_rig_of_stage(stage: Usd.Stage, animation: Usd.Prim) -> Rig:
     """Read the rig that an animation drives, with the variants that the stage selects."""
     file, prim = rig_of(stage, animation)
-    rig_path, top = rig_path_of(stage, animation), str(Sdf.Path(prim).GetPrefixes()[0])
+    rig_path, top = rig_path_of(stage, animation), str(top_path(prim))
     return read_rig(file, prim=prim, variants=variant_choices(stage, rig_path, file, top))
 
 

@@ -14,6 +14,7 @@ from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
+from usdface.usdio.authoring import top_path
 from usdface.usdio.layers import refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.mesh import skel_bindings
@@ -56,7 +57,7 @@ class RigMotion(PointMotion):
         self.path = path
         reader = PerformanceReader(path)
         self._animation = UsdSkel.Animation(reader.animation)
-        source = Sdf.Path(rig.prim).GetPrefixes()[0]
+        source = top_path(rig.prim)
         rig_path = Sdf.Path(rig_path_of(reader.stage, reader.animation))
         self._ours = np.eye(4)
         root, rest = Sdf.Path(rig.prim), open_variant(rig.file, rig.variants)

@@ -12,7 +12,7 @@ from usdface.core.assets import Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination
-from usdface.usdio.authoring import index_array, vector_array
+from usdface.usdio.authoring import index_array, top_path, vector_array
 from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.rig.read import (
     COMBINATION,
@@ -55,7 +55,7 @@ def write_rig(path: Path, rig: Rig, *, controls: RigControls = ONE_JOINT) -> Non
         stage = Usd.Stage.Open(layer)
         root_path = Sdf.Path(rig.prim)
         root = UsdSkel.Root.Define(stage, root_path)
-        stage.SetDefaultPrim(stage.GetPrimAtPath(root_path.GetPrefixes()[0]))
+        stage.SetDefaultPrim(stage.GetPrimAtPath(top_path(root_path)))
         Usd.ModelAPI(stage.GetDefaultPrim()).SetKind(Kind.Tokens.component)
         skeleton = _define_skeleton(stage, root_path, controls)
         for mesh in rig.meshes:
@@ -160,7 +160,7 @@ def write_logic(
         for key in ("timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode"):
             if root.pseudoRoot.HasInfo(key):
                 layer.pseudoRoot.SetInfo(key, root.pseudoRoot.GetInfo(key))
-        layer.defaultPrim = Sdf.Path(rig.prim).GetPrefixes()[0].name
+        layer.defaultPrim = top_path(rig.prim).name
         layer.subLayerPaths = [relative_path(rig.file, path)]
         stage = Usd.Stage.CreateInMemory()
         for name, shape in shape_prims(source.GetPrimAtPath(rig.prim)):

@@ -25,7 +25,15 @@ from usdface.numerics.surface.surface_places import (
     places_at_points,
     polygon_weights,
 )
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim, value_of
+from usdface.usdio.authoring import (
+    apply_api,
+    author_uniform,
+    define_prim,
+    define_reference_prim,
+    top_path,
+    unique_names,
+    value_of,
+)
 from usdface.usdio.layers import (
     new_layer,
     new_layers,
@@ -35,7 +43,7 @@ from usdface.usdio.layers import (
     relative_path,
 )
 from usdface.usdio.rig.mesh import BoundSurface
-from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units, stage_to_ours
+from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units, row_matrix, stage_to_ours
 
 _ROOT = Sdf.Path("/Binding")
 _MARKERS = _ROOT.AppendChild("Markers")
@@ -164,16 +172,11 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurfac
     layer.defaultPrim = _ROOT.name
     define_prim(layer, _ROOT, "Xform")
     define_prim(layer, _MARKERS, "Scope")
-    taken: set[str] = set()
-    for index, name in enumerate(binding.names):
-        base = unique = (
-            name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
-        )
-        number = 2
-        while unique in taken:
-            unique = f"{base}_{number}"
-            number += 1
-        taken.add(unique)
+    valid = unique_names(
+        name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
+        for name in binding.names
+    )
+    for index, (name, unique) in enumerate(zip(binding.names, valid, strict=True)):
         prim = define_prim(layer, _MARKERS.AppendChild(unique), "Sphere")
         apply_api(prim, "FaceMarkerBindingAPI")
         confidence = float(binding.confidence[index])
@@ -201,16 +204,12 @@ def _show_mesh(layer: Sdf.Layer, face: BoundSurface, stage: Usd.Stage, path: Pat
     """Add a reference to the mesh, rotated and scaled to the units of the spheres."""
     holder = define_prim(layer, MESH, "Xform")
     holder.SetInfo("kind", Kind.Tokens.group)
-    transform = np.eye(4)
-    transform[:3, :3] = stage_to_ours(stage) / MM_PER_STAGE_UNIT
     matrix = Sdf.AttributeSpec(holder, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
-    matrix.default = Gf.Matrix4d(*transform.T.ravel().tolist())
+    matrix.default = row_matrix(stage_to_ours(stage) / MM_PER_STAGE_UNIT)
     order = Vt.TokenArray(["xformOp:transform"])
     author_uniform(holder, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
-    shown = Sdf.CreatePrimInLayer(layer, MESH.AppendChild("Asset"))
-    shown.specifier = Sdf.SpecifierDef
-    top = Sdf.Path(face.path).GetPrefixes()[0]
-    shown.referenceList.prependedItems = [Sdf.Reference(relative_path(face.file, path), top)]
+    asset = relative_path(face.file, path)
+    define_reference_prim(layer, MESH.AppendChild("Asset"), asset, top_path(face.path))
 
 
 def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:

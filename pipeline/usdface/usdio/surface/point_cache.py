@@ -20,11 +20,17 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import points_path
-from usdface.usdio.authoring import apply_api, author_timing, author_uniform, paths_in
+from usdface.usdio.authoring import (
+    apply_api,
+    author_timing,
+    author_uniform,
+    prim_paths_in,
+    top_path,
+)
 from usdface.usdio.layers import new_layer, open_layer, relative_path
 from usdface.usdio.performance.clips import author_clips, clip_files
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.rig.reference import default_rig_path, define_reference, remove_reference
+from usdface.usdio.rig.reference import define_reference, remove_reference
 from usdface.usdio.units import author_units
 
 UNCERTAINTY = "primvars:face:uncertainty"
@@ -192,8 +198,9 @@ def writing_points(
         The mesh at rest.
     """
     asset = Rig(face.file, face.path, (), (), np.zeros((0, 2)))
-    top = header.rig_path or default_rig_path(asset)
-    at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_rig_path(asset)), Sdf.Path(top))
+    source = top_path(face.path)
+    top = header.rig_path or str(source)
+    at = Sdf.Path(face.path).ReplacePrefix(source, Sdf.Path(top))
     points_file = points_path(path)
     outdated, before = _clip_files(points_file), _deformed_prim(points_file)
     with replacing_group((points_file, path)):
@@ -290,7 +297,7 @@ def _sample(values: FloatArray | Float32Array) -> Vt.FloatArray | Vt.Vec3fArray:
 def _author_header(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, header: PointsHeader) -> None:
     """Set timing and the mesh's units."""
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
-    layer.defaultPrim = at.GetPrefixes()[0].name
+    layer.defaultPrim = top_path(at).name
     author_units(layer, like=face.file)
 
 
@@ -326,5 +333,5 @@ def _deformed_prim(points_file: Path) -> Sdf.Path:
     if not points_file.is_file():
         return Sdf.Path()
     layer = open_layer(points_file)
-    prims = (layer.GetPrimAtPath(path) for path in paths_in(layer) if path.IsPrimPath())
+    prims = map(layer.GetPrimAtPath, prim_paths_in(layer))
     return next((prim.path for prim in prims if prim.HasInfo("apiSchemas")), Sdf.Path())

@@ -17,12 +17,15 @@ from usdface.usdio.authoring import (
     apply_api,
     author_uniform,
     define_prim,
+    define_reference_prim,
     index_array,
+    top_path,
+    unique_names,
     vector_array,
 )
 from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.units import author_units, stage_to_ours, transform_points
+from usdface.usdio.units import author_units, row_matrix, stage_to_ours, transform_points
 
 ASSET = "asset"
 SHAPES = "shapes"
@@ -56,18 +59,8 @@ class WrittenShape:
 
 def shape_names(wanted: list[str]) -> list[str]:
     """Return valid and unique names of channels and prims, in the same order."""
-    taken: set[str] = set()
-    names = []
-    for each in wanted:
-        base = str(Tf.MakeValidIdentifier(each.strip() or "shape"))[:_LONGEST_NAME]
-        unique, number = base, 2
-        while unique in taken:
-            ending = f"_{number}"
-            unique = base[: _LONGEST_NAME - len(ending)] + ending
-            number += 1
-        taken.add(unique)
-        names.append(unique)
-    return names
+    valid = (str(Tf.MakeValidIdentifier(each.strip() or "shape")) for each in wanted)
+    return unique_names(valid, longest=_LONGEST_NAME)
 
 
 def write_shape_rig(
@@ -94,14 +87,18 @@ def write_shape_rig(
         raise InputError(f"{path}: there is no shape to write; choose at least one frame")
     root = Sdf.Path(f"/{Tf.MakeValidIdentifier(name)}")
     source = open_stage(face.file)
-    top = Sdf.Path(face.path).GetPrefixes()[0]
+    top = top_path(face.path)
     mesh = Sdf.Path(face.path).ReplacePrefix(top, root.AppendChild(ASSET))
     with new_layer(path, provenance) as layer:
         author_units(layer, like=face.file)
         layer.defaultPrim = root.name
         define_prim(layer, root, "SkelRoot").SetInfo("kind", Kind.Tokens.component)
         _define_skeleton(layer, root.AppendChild(SKELETON))
-        _reference_asset(layer, root.AppendChild(ASSET), source.GetPrimAtPath(top), face, path)
+        asset = define_reference_prim(
+            layer, root.AppendChild(ASSET), relative_path(face.file, path), top
+        )
+        if Usd.ModelAPI(source.GetPrimAtPath(top)).GetKind():
+            asset.SetInfo("kind", Kind.Tokens.subcomponent)  # it is now inside a component
         _override_asset_rig(layer, source, top, root.AppendChild(ASSET))
         points = _bind_mesh(layer, face, mesh, root.AppendChild(SKELETON), source)
         to_mesh_space = np.linalg.inv(stage_to_ours(source) @ face.world[:3, :3])
@@ -144,17 +141,6 @@ def _define_skeleton(layer: Sdf.Layer, path: Sdf.Path) -> None:
     apply_api(prim, "SkelBindingAPI")
 
 
-def _reference_asset(
-    layer: Sdf.Layer, path: Sdf.Path, source: Usd.Prim, face: FaceMesh, rig: Path
-) -> None:
-    prim = Sdf.CreatePrimInLayer(layer, path)
-    prim.specifier = Sdf.SpecifierDef
-    reference = Sdf.Reference(relative_path(face.file, rig), source.GetPath())
-    prim.referenceList.prependedItems = [reference]
-    if Usd.ModelAPI(source).GetKind():
-        prim.SetInfo("kind", Kind.Tokens.subcomponent)  # it is now inside a component
-
-
 def _override_asset_rig(
     layer: Sdf.Layer, source: Usd.Stage, top: Sdf.Path, place: Sdf.Path
 ) -> None:
@@ -183,8 +169,8 @@ def _bind_mesh(
     kinds = Sdf.ValueTypeNames
     relation = Sdf.RelationshipSpec(prim, "skel:skeleton", False)
     relation.targetPathList.explicitItems = [skeleton]
-    transform = Gf.Matrix4d(*face.world.T.ravel().tolist())
-    Sdf.AttributeSpec(prim, "primvars:skel:geomBindTransform", kinds.Matrix4d).default = transform
+    transform = Sdf.AttributeSpec(prim, "primvars:skel:geomBindTransform", kinds.Matrix4d)
+    transform.default = row_matrix(face.world)
     for name, kind, value in (
         ("primvars:skel:jointIndices", kinds.IntArray, Vt.IntArray([0])),
         ("primvars:skel:jointWeights", kinds.FloatArray, Vt.FloatArray([1.0])),

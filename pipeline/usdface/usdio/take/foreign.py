@@ -12,7 +12,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate
-from usdface.usdio.authoring import names_in, read_array_samples
+from usdface.usdio.authoring import names_in, prim_or_root, read_array_samples
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import edited_frames
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -53,9 +53,7 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     `prim`: the prim of the markers, or one above it, if the file has several sets.
     """
     stage = open_stage(path)
-    top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
-    if not top:
-        raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
+    top = prim_or_root(stage, prim, file=path, option="--prim")
     sets = [*_points_sets(top), *_joint_sets(top)] or [*_xform_sets(top)]
     if len(sets) > 1:
         places = ", ".join(f"<{each.path}> ({each.kind})" for each in sets)
