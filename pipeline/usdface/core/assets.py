@@ -5,9 +5,10 @@ converts units when it reads and writes.
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
+from itertools import accumulate
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -248,6 +249,12 @@ class RigMesh(_Asset):
     """(polygons, 4): linear colour and opacity by materials; NaN without one."""
     undrawn: tuple[str, ...] = ()
     """Parts of its materials that pictures leave out."""
+
+
+def point_slices(meshes: Sequence[RigMesh]) -> list[slice]:
+    """Return the points of each mesh among those of all, in order."""
+    ends = list(accumulate(len(mesh.points) for mesh in meshes))
+    return [slice(end - len(mesh.points), end) for mesh, end in zip(meshes, ends, strict=True)]
 
 
 def range_ends(ranges: FloatArray) -> FloatArray:

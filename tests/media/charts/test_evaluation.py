@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from usdface.core.errors import InputError
 from usdface.media.charts.evaluation import (
     COLUMN_COUNT,
     LIPS_HEIGHT,
@@ -81,11 +80,6 @@ def test_a_hundred_shapes_stay_on_one_page() -> None:
     most = tuple(many[:MOST_SHAPES])
     assert draw_evaluation(page(shapes=many)).shape == draw_evaluation(page(shapes=most)).shape
     assert MOST_SHAPES % COLUMN_COUNT == 0
-
-
-def test_without_a_curve_there_is_no_page() -> None:
-    with pytest.raises(InputError, match="no error curve"):
-        draw_evaluation(page(curves=()))
 
 
 def test_a_performance_without_error_draws() -> None:

@@ -3,11 +3,9 @@
 from unittest import mock
 
 import numpy as np
-import pytest
 
 from tests.small_scan import small_scan
 from usdface.core.assets import RigMesh
-from usdface.core.errors import InputError
 from usdface.media.picture import binding_picture
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 
@@ -45,11 +43,3 @@ def test_names_that_do_not_fit_are_left_out_except_those_to_look_at() -> None:
     assert max(map(len, rows.values())) >= 40
     assert all(np.diff(column).min() >= 11 for column in rows.values() if len(column) > 1)
     assert 70 in [call.args[2] for call in write.call_args_list]
-
-
-def test_a_binding_without_markers_is_refused() -> None:
-    scan = small_scan()
-    mesh = RigMesh("/scan", scan.points, scan.counts, scan.indices)
-    nobody = BoundMarkers((), np.zeros((0, 3)), (), np.zeros(0, bool))
-    with pytest.raises(InputError, match="no marker to draw"):
-        draw_binding([mesh], nobody, title="test")

@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usdface.core.errors import InputError
 from usdface.media.picture import sheet as sheet_module
 from usdface.media.picture.canvas import empty_tile, fit_picture
 from usdface.media.picture.color import VERDICT_COLORS, bytes_from_linear, heat_ramp
@@ -246,26 +245,6 @@ def test_picture_of_the_right_size_is_not_touched() -> None:
 
 def test_empty_tile_says_why() -> None:
     assert np.any(empty_tile(200, 100, "video ends") != empty_tile(200, 100, ""))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"rows": ()}, "at least one frame"),
-        ({"columns": ("video",)}, "row of frame 100 has 4 tiles and the sheet 1 columns"),
-        ({"tile_height": 10}, "choose 48 to 4096"),
-    ],
-    ids=["no rows", "columns", "tiny"],
-)
-def test_sheet_that_cannot_be_laid_out_says_why(changes: dict, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        compose_sheet(make_spec(**changes))
-
-
-def test_tile_of_floats_is_refused() -> None:
-    rows = (SheetRow(1, "", (Tile(np.zeros((8, 8, 3))),)),)
-    with pytest.raises(InputError, match="uint8"):
-        compose_sheet(SheetPage("x", ("a",), rows))
 
 
 def test_there_is_no_ramp_where_nothing_has_a_colour_on_it() -> None:

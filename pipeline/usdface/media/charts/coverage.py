@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
-from usdface.core.errors import InputError
 from usdface.media.charts.axes import (
     add_axes,
     add_label,
@@ -86,8 +85,6 @@ class CoveragePage:
 
 def draw_coverage(page: CoveragePage) -> ByteImage:
     """Draw the coverage over time, by number of references, and the frames to tune next."""
-    if not page.lanes or not len(page.growth):
-        raise InputError("coverage to draw needs at least one lane and a curve")
     strips = strip_height(len(page.lanes))
     takes = _TAKES_HEIGHT if len(page.takes) > 1 else 0
     body = max(_PLOT_HEIGHT + 70, 60 + _ROW_HEIGHT * len(page.next_frames))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, row_lengths
-from usdface.core.assets import RigMesh
+from usdface.core.assets import RigMesh, point_slices
 
 FACE_REACH = 0.45
 """Displacement of a point, relative to the largest of the same shape, from which it is of the face.
@@ -151,8 +151,6 @@ def frame_face(
         Whether to include hair above the face, up to half the face's height.
     """
     cloud = np.asarray(points, np.float64)
-    if cloud.ndim != 2 or cloud.shape[1:] != (3,) or not len(cloud):
-        raise ValueError(f"points must be (n, 3) and not empty, got shape {cloud.shape}")
     face = cloud[_face_mask(len(cloud), weights)]
     yaw = np.radians(yaw_degrees)
     backward = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
@@ -185,14 +183,11 @@ def frame_rig(meshes: Sequence[RigMesh], *, yaw_degrees: float = 0.0, hair: bool
     rest = np.concatenate([mesh.points for mesh in meshes])
     weights = motion_weights(meshes)
     posed, taken = [rest], [weights]
-    first = 0
-    for mesh in meshes:
-        own = weights[first : first + len(mesh.points)]
-        first += len(mesh.points)
+    for mesh, own in zip(meshes, point_slices(meshes), strict=True):
         for shape in mesh.shapes:
             key = shape.keys[-1]
             posed.append(mesh.points[key.points] + key.offsets)
-            taken.append(own[key.points])
+            taken.append(weights[own][key.points])
     return frame_face(
         np.concatenate(posed), weights=np.concatenate(taken), yaw_degrees=yaw_degrees, hair=hair
     )
@@ -200,11 +195,7 @@ def frame_rig(meshes: Sequence[RigMesh], *, yaw_degrees: float = 0.0, hair: bool
 
 def _face_mask(count: int, weights: ArrayLike | None) -> BoolArray:
     """Return which points to frame."""
-    if weights is None:
-        return np.ones(count, bool)
-    reach = np.asarray(weights, np.float64)
-    if reach.shape != (count,):
-        raise ValueError(f"weights must be one per point, {count}, got shape {reach.shape}")
+    reach = np.zeros(count) if weights is None else np.asarray(weights, np.float64)
     if not np.any(reach > 0):
         return np.ones(count, bool)
     return np.asarray(reach > FACE_REACH * reach.max())

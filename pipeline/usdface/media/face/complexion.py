@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, smoothstep
-from usdface.core.assets import RigMesh
+from usdface.core.assets import RigMesh, point_slices
 from usdface.media.face import shading
 from usdface.media.face.features import ColorBand, find_bands
 from usdface.media.face.parts import FacePart, Pieces
@@ -81,9 +81,7 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     if plain.any() and not np.any(parts == FacePart.HAIR):
         bands = find_bands(meshes, pieces.eyeballs.values(), plain)
     colors += (shading.INNER_MOUTH - colors) * inside[:, None]
-    first = 0
-    for mesh in meshes:
-        own = slice(first, first + len(mesh.points))
+    for mesh, own in zip(meshes, point_slices(meshes), strict=True):
         one = tone(mesh)
         if one is not None:  # for the mesh's largest part; teeth in a head of one material stay
             most = np.bincount(parts[own]).argmax() if len(parts[own]) else FacePart.SKIN
@@ -93,19 +91,18 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
             colors[own] = np.where(toned[:, None], mixed, colors[own])
         elif mesh.colors is not None:
             colors[own] = mesh.colors
-        first += len(mesh.points)
     return Complexion(colors, bands, np.where(plain, 1 - inside, 0.0))
 
 
 def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
     """Return the symmetric (points, points) adjacency matrix."""
-    pairs, first = [], 0
-    for mesh in meshes:
-        pairs.append(polygon_edges(mesh.face_counts, mesh.face_indices) + first)
-        first += len(mesh.points)
+    pairs = [
+        polygon_edges(mesh.face_counts, mesh.face_indices) + own.start
+        for mesh, own in zip(meshes, point_slices(meshes), strict=True)
+    ]
     rows, columns = np.concatenate(pairs).T
-    ones = np.ones(len(rows))
-    one_way = sparse.csr_array((ones, (rows, columns)), shape=(first, first))
+    count = sum(len(mesh.points) for mesh in meshes)
+    one_way = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
     links = one_way + one_way.T
     links.data[:] = 1.0
     return links

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, index_of, smoothstep
-from usdface.core.assets import RigMesh
+from usdface.core.assets import RigMesh, point_slices
 from usdface.media.face import shading
 from usdface.media.face.parts import Eyeball
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
@@ -109,13 +109,13 @@ def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32A
 def _offsets(meshes: Sequence[RigMesh]) -> tuple[tuple[str, ...], sparse.csr_array]:
     """Return the names of all shapes, and their offsets at weight 1: (shapes, 3 * points)."""
     names = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
-    row_of, first, tracks = index_of(names), 0, list[ChannelKeys]()
-    for mesh in meshes:
+    row_of, tracks = index_of(names), list[ChannelKeys]()
+    for mesh, own in zip(meshes, point_slices(meshes), strict=True):
         for shape in mesh.shapes:
-            full = Key(1.0, first + shape.keys[-1].points, shape.keys[-1].offsets)
+            full = Key(1.0, own.start + shape.keys[-1].points, shape.keys[-1].offsets)
             tracks.append(ChannelKeys(row_of[shape.name], [full]))
-        first += len(mesh.points)
-    return names, BlendShapes(first, len(names), tracks).target_offsets()
+    count = sum(len(mesh.points) for mesh in meshes)
+    return names, BlendShapes(count, len(names), tracks).target_offsets()
 
 
 def _moved_by(offsets: sparse.csr_array, shape: int) -> FloatArray:

@@ -99,14 +99,7 @@ def draw_markers(
         Markers to join by lines, such as along a lip.
     """
     cloud = np.asarray(positions, np.float64)
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise InputError(f"markers to draw are (markers, 3), got shape {cloud.shape}")
     seen = np.ones(len(cloud), bool) if visible is None else np.asarray(visible, bool)
-    if seen.shape != (len(cloud),):
-        raise InputError(
-            f"{len(cloud)} markers to draw with visibility of shape {seen.shape}; give one for "
-            "each marker"
-        )
     view = frame or frame_markers(cloud)
     scale = height / view.height
     picture = bytes_from_linear(background(height, width))

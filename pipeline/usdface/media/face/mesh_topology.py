@@ -7,7 +7,6 @@ from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.core.errors import InputError
 from usdface.numerics.surface.surface_graph import connected_parts
 from usdface.numerics.surface.triangulation import (
     Sparse,
@@ -16,23 +15,6 @@ from usdface.numerics.surface.triangulation import (
     triangulate,
     vertex_normals,
 )
-
-
-def check_topology(mesh: RigMesh) -> None:
-    """Refuse a mesh whose polygons do not fit its points."""
-    corners = int(np.sum(mesh.face_counts))
-    if corners != len(mesh.face_indices) or np.any(mesh.face_counts < 0):
-        raise InputError(
-            f"<{mesh.path}>: the polygons need {corners} corners and have "
-            f"{len(mesh.face_indices)}; repair faceVertexCounts and faceVertexIndices"
-        )
-    if len(mesh.face_indices) and (
-        mesh.face_indices.min() < 0 or mesh.face_indices.max() >= len(mesh.points)
-    ):
-        raise InputError(
-            f"<{mesh.path}>: faceVertexIndices run from {mesh.face_indices.min()} to "
-            f"{mesh.face_indices.max()} and there are {len(mesh.points)} points; repair the mesh"
-        )
 
 
 def border_edges(mesh: RigMesh) -> IntArray:

@@ -13,7 +13,15 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, r
 from usdface.media.face import shading
 from usdface.media.face.camera import Camera
 from usdface.media.face.surface import Surface
-from usdface.media.face.tracing import PATTERN_COUNT, RayHits, Tracer, denoise, light_seen, sky_seen
+from usdface.media.face.tracing import (
+    PATTERN_COUNT,
+    RayHits,
+    Tracer,
+    denoise,
+    light_seen,
+    r2_points,
+    sky_seen,
+)
 
 IRIS_ANGLE = 0.50
 """Half angle of the iris at the eyeball's centre [rad]: 11.7 mm across for a radius of 12 mm."""
@@ -285,9 +293,8 @@ class _Known:
 
 def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) -> Float32Array:
     """Return the sum of the samples of each of the given pixels, without that of its centre."""
-    plastic = 1.32471795724474602596
     steps = np.arange(1, view.ray_counts.edge_samples)  # 0 is the centre
-    spread = np.stack([(0.5 + steps / plastic) % 1, (0.5 + steps / plastic**2) % 1], axis=1)
+    spread = np.stack(r2_points(steps), axis=1)
     corners = np.stack([edges % view.width, edges // view.width], axis=1).astype(np.float64)
     pixels = (corners[:, None, :] + spread).reshape(-1, 2)
     owner = np.repeat(edges, len(steps))

@@ -88,9 +88,12 @@ class FaceRenderer:
         (height, width, 3) uint8 array
             sRGB.
         """
-        _check_size(width, height)
+        if width * height > _MAX_PIXELS:
+            raise InputError(
+                f"a picture of {width} × {height} pixels cannot be drawn; ask for less"
+            )
         surface = self._surface
-        cage = _finite(points.astype(np.float64), (self.point_count, 3), "points")
+        cage = _finite(points.astype(np.float64), "points")
         fine = np.asarray(surface.matrix @ cage)
         colors = surface.albedo
         if values is not None:
@@ -125,7 +128,7 @@ class FaceRenderer:
     def _subdivided(self, values: FloatArray) -> FloatArray:
         """Interpolate values at the drawn points: means of the known, NaN where most are not."""
         known = ~np.isnan(values)
-        given = _finite(np.where(known, values, 0.0), (self.point_count,), "values")
+        given = _finite(np.where(known, values, 0.0), "values")
         if known.all():
             return np.asarray(self._surface.matrix @ given)
         share = np.asarray(self._surface.matrix @ known.astype(np.float64))
@@ -133,15 +136,8 @@ class FaceRenderer:
         return np.where(share < _LEAST_KNOWN, np.nan, means)
 
 
-def _finite(array: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
-    if array.shape != shape:
-        raise InputError(f"{name} to draw have shape {array.shape} and the rig needs {shape}")
+def _finite(array: FloatArray, name: str) -> FloatArray:
     if not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
         raise InputError(f"{name} to draw: number {bad} is {array[bad]}; repair its deformation")
     return array
-
-
-def _check_size(width: int, height: int) -> None:
-    if width < 1 or height < 1 or width * height > _MAX_PIXELS:
-        raise InputError(f"a picture of {width} × {height} pixels cannot be drawn; ask for less")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.core.assets import RigMesh
+from usdface.core.assets import RigMesh, point_slices
 from usdface.media.face.mesh_topology import border_edges
 from usdface.numerics.surface.surface_graph import connected_parts
 from usdface.numerics.surface.triangulation import Sparse
@@ -75,13 +75,12 @@ def blink_offsets(mesh: RigMesh) -> FloatArray:
 
 def _holes(meshes: Sequence[RigMesh]) -> list[IntArray]:
     """Return the points of each connected border, as indices into all meshes concatenated."""
-    holes, first = list[IntArray](), 0
-    for mesh in meshes:
+    holes = list[IntArray]()
+    for mesh, own in zip(meshes, point_slices(meshes), strict=True):
         border = border_edges(mesh)
         rim = np.unique(border)
         labels = connected_parts(np.searchsorted(rim, border), len(rim))
-        holes += [first + rim[labels == hole] for hole in np.unique(labels)]
-        first += len(mesh.points)
+        holes += [own.start + rim[labels == hole] for hole in np.unique(labels)]
     return [hole for hole in holes if len(hole) >= 6]
 
 

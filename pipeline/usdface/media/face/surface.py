@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.last_result import cache_last_result
 from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
 from usdface.media.face.features import ColorBand
-from usdface.media.face.mesh_topology import check_topology, cut_polygons
+from usdface.media.face.mesh_topology import cut_polygons
 from usdface.media.face.parts import FacePart, Pieces, find_pieces
 from usdface.media.face.stand_in_eyes import blink_offsets, fit_stand_in_eyes
 from usdface.media.face.subdivision import catmull_clark
@@ -90,8 +90,6 @@ class Surface:
 @cache_last_result
 def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     """Prepare the visible meshes of a rig for drawing."""
-    for mesh in meshes:
-        check_topology(mesh)
     visible = [mesh for mesh in meshes if mesh.visible and len(mesh.face_counts)]
     if not visible:
         names = ", ".join(f"<{mesh.path}>" for mesh in meshes) or "none"

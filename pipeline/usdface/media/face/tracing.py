@@ -11,7 +11,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, Float32Array, IntArray, row_lengths
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, row_lengths
 
 PATTERN_COUNT = 16
 """Sets of directions: one per pixel of a 4 by 4 block, averaged by the denoiser."""
@@ -145,11 +145,16 @@ def light_seen(
     return free / np.float32(ray_count)
 
 
-def _sequence(ray_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (patterns, rays) coordinates of low-discrepancy points: R2 (Roberts 2018)."""
+def _sequence(ray_count: int) -> tuple[FloatArray, FloatArray]:
+    """Return (patterns, rays) coordinates of low-discrepancy points."""
     index = np.arange(PATTERN_COUNT)[:, None] + PATTERN_COUNT * np.arange(ray_count)[None, :]
     # Permuted so that patterns of neighbours in a block differ most.
     index = (index * 7) % (PATTERN_COUNT * ray_count) if ray_count % 7 else index
+    return r2_points(index)
+
+
+def r2_points(index: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the coordinates of points of the low-discrepancy sequence R2 (Roberts 2018) [0-1]."""
     plastic = 1.32471795724474602596
     return (0.5 + index / plastic) % 1.0, (0.5 + index / plastic**2) % 1.0
 

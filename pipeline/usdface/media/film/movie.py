@@ -73,8 +73,6 @@ def write_movie(
         written. An existing file is then unchanged.
     """
     container_format = movie_format(path)
-    if not rate > 0:
-        raise InputError(f"{path}: a rate of {rate} frames a second cannot be written")
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:

@@ -50,8 +50,6 @@ def join_movies(
     InputError
         If a part is not a movie, or parts differ in kind. An existing file is then unchanged.
     """
-    if not parts:
-        raise InputError(f"{path}: there is no part to join; give at least one")
     container_format = movie_format(path)
     _check_kinds(parts)
     with replacing(path) as temporary:

@@ -10,7 +10,6 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera, frame_face
 from usdface.media.face.render import FaceRenderer, Quality
 from usdface.media.picture.canvas import draw_dot, draw_line, fill_box, new_picture, space_rows
@@ -92,8 +91,6 @@ def draw_binding(
     (height, 1600, 3) uint8 array
         sRGB.
     """
-    if not markers.names:
-        raise InputError(f"{title}: no marker to draw")
     renderer = FaceRenderer(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])
     # Points within the markers' bounding box, without neck and shoulders.

@@ -5,7 +5,6 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from usdface.core.arrays import ByteImage, Float32Array, FloatArray
-from usdface.core.errors import InputError
 from usdface.media.picture.color import DIM, PANEL, Color, mix_color
 from usdface.media.picture.text import TextStyle, draw_text
 
@@ -118,18 +117,15 @@ def fit_picture(
     -------
     (height, width, 3) uint8 array
     """
-    given = np.asarray(picture)
-    if given.dtype != np.uint8 or given.ndim != 3 or given.shape[2] != 3 or not given.size:
-        raise InputError(f"a tile is (height, width, 3) uint8, got {given.shape} {given.dtype}")
-    if given.shape[:2] == (height, width):
-        return given
-    scale = min(width / given.shape[1], height / given.shape[0])
-    inner_width = min(max(round(given.shape[1] * scale), 1), width)
-    inner_height = min(max(round(given.shape[0] * scale), 1), height)
+    if picture.shape[:2] == (height, width):
+        return picture
+    scale = min(width / picture.shape[1], height / picture.shape[0])
+    inner_width = min(max(round(picture.shape[1] * scale), 1), width)
+    inner_height = min(max(round(picture.shape[0] * scale), 1), height)
     box = new_picture(width, height, color)
     left, top = (width - inner_width) // 2, (height - inner_height) // 2
     box[top : top + inner_height, left : left + inner_width] = scale_picture(
-        given, inner_width, inner_height
+        picture, inner_width, inner_height
     )
     return box
 

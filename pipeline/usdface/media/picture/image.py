@@ -72,18 +72,13 @@ def write_image(
     Raises
     ------
     InputError
-        If the extension is unknown, the timecode of an EXR malformed, the picture not of bytes, or
-        the file cannot be written. An existing file is then unchanged.
+        If the extension is unknown, the timecode of an EXR malformed, or the file cannot be
+        written. An existing file is then unchanged.
     """
     suffix = path.suffix.lower()
     if suffix not in _IMAGE_SUFFIXES:
         raise InputError(f"{path}: pictures end in {', '.join(_IMAGE_SUFFIXES)}; rename it")
-    image = np.asarray(pixels)
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
-        raise InputError(
-            f"{path}: a picture is (height, width, 3) uint8, got {image.shape} {image.dtype}"
-        )
-    height, width = image.shape[:2]
+    height, width = pixels.shape[:2]
     if suffix in (".jpg", ".jpeg") and max(height, width) > _MAX_JPEG:
         raise InputError(
             f"{path}: {width} × {height} pixels, JPEG ends at {_MAX_JPEG}; write .png or .exr"
@@ -91,11 +86,11 @@ def write_image(
     description = _description(metadata or {}, timecode, rate)
     with replacing(path) as temporary:
         if suffix in _IN_MEMORY:
-            _write_encoded(path, temporary, _encoded(path, image, description))
+            _write_encoded(path, temporary, _encoded(path, pixels, description))
             return
         spec = _specification(suffix, width, height, description, timecode, rate)
         linear = suffix == ".exr"
-        data = linear_from_srgb(image / 255.0).astype(np.float32) if linear else image
+        data = linear_from_srgb(pixels / 255.0).astype(np.float32) if linear else pixels
         _see_that_there_is_room(path, temporary, data.nbytes + len(description))
         _write(path, temporary, spec, np.ascontiguousarray(data))
 

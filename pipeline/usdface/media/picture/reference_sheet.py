@@ -115,8 +115,6 @@ def compose_reference_sheet(
     (height, width, 3) uint8 array
         sRGB.
     """
-    if not rows:
-        raise InputError("a sheet of references needs pairs; name some that there are")
     palette = PAPER if paper else SCREEN
     shapes = [row.video.shape for row in rows if row.video is not None]
     aspect = max((shape[1] / shape[0] for shape in shapes), default=0.0)

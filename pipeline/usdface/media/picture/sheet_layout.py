@@ -7,7 +7,6 @@ from textwrap import wrap
 import numpy as np
 
 from usdface.core.arrays import ByteImage
-from usdface.core.errors import InputError
 from usdface.media.picture.color import BRIGHT, DIM, SOFT, TEXT
 from usdface.media.picture.error_strip import ErrorCurve, strip_height
 from usdface.media.picture.text import TextStyle, text_width, wrap_text
@@ -151,20 +150,6 @@ class Layout:
             + self.rows_per_group * self.row_height
             + PAGE_MARGIN
         )
-
-
-def check_sheet(spec: SheetPage) -> None:
-    """Refuse a sheet without rows, with missing tiles or with an invalid tile size."""
-    if not spec.rows or not spec.columns:
-        raise InputError("a sheet needs rows and columns; select at least one frame")
-    for row in spec.rows:
-        if len(row.tiles) != len(spec.columns):
-            raise InputError(
-                f"row of frame {row.frame} has {len(row.tiles)} tiles and the sheet "
-                f"{len(spec.columns)} columns; give one tile for each column"
-            )
-    if not 48 <= spec.tile_height <= 4096:
-        raise InputError(f"tiles of {spec.tile_height} pixels; choose 48 to 4096")
 
 
 def has_legend(spec: SheetPage) -> bool:
