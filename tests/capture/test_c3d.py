@@ -44,7 +44,7 @@ def test_written_points_come_back_with_their_gaps(take, tmp_path):
     file = open_c3d(tmp_path / "take.c3d")
     points = file.read_points()
     assert file.point_labels == tuple(labels)
-    assert (file.layout.first_frame, file.units) == (1001, "mm")
+    assert (file.layout.first_frame, file.layout.parameters.text("POINT:UNITS")) == (1001, "mm")
     assert file.layout.rate == pytest.approx(119.88)
     np.testing.assert_array_equal(points.residuals >= 0, visible)
     np.testing.assert_array_equal(points.positions[visible], positions[visible])

@@ -54,10 +54,6 @@ class C3dFile:
     point_labels: tuple[str, ...]
     """As written, subject prefixes included; shorter than the points when some have no label."""
     analog_labels: tuple[str, ...]
-    units: str
-    x_screen: str
-    y_screen: str
-    """`units`, `x_screen`, `y_screen`: empty if not stated."""
 
     @property
     def frame_count(self) -> int:
@@ -178,9 +174,6 @@ def open_c3d(path: Path) -> C3dFile:
         layout=layout,
         point_labels=parameters.texts("POINT:LABELS")[: layout.point_count],
         analog_labels=parameters.texts("ANALOG:LABELS")[: layout.analog_count],
-        units=parameters.text("POINT:UNITS"),
-        x_screen=parameters.text("POINT:X_SCREEN"),
-        y_screen=parameters.text("POINT:Y_SCREEN"),
     )
 
 
@@ -232,7 +225,8 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
         notes.append(f"outputs of a body model, no markers, left out: {first_few(outputs)}")
     labels = resolve_labels(written, where=f"{path} POINT:LABELS", without=outputs)
     notes += labels.notes
-    scale = resolve_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
+    units, field = parameters.text("POINT:UNITS"), "POINT:UNITS"
+    scale = resolve_units(units, options, notes, where=str(path), field=field)
     to_mm = scale * _rotation(file, options, notes)
     rotation = to_mm.astype(np.float32)
     columns = np.array(labels.columns)
@@ -275,9 +269,10 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
 def _rotation(file: C3dFile, options: CaptureOptions, notes: list[str]) -> np.ndarray:
     if options.up is not None:
         return rotation_to_y_up(up=options.up, where=f"{file.path} up axis")
-    if not file.x_screen or not file.y_screen:
+    right, up = (file.layout.parameters.text(f"POINT:{axis}_SCREEN") for axis in "XY")
+    if not right or not up:
         notes.append(
             "POINT:X_SCREEN and Y_SCREEN do not state the up axis; Y assumed, set it with --up"
         )
         return np.eye(3)
-    return rotation_from_screen(file.x_screen, file.y_screen, where=f"{file.path} POINT")
+    return rotation_from_screen(right, up, where=f"{file.path} POINT")

@@ -19,7 +19,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
-from usdface.core.text import first_few, pluralize, read_text, text_encoding
+from usdface.core.text import first_few, pluralize, read_text, repeated, text_encoding
 
 LARGEST_BYTES = 4 << 30
 """About four hours of 100 markers at 120 frames per second, with nine characters a number."""
@@ -321,9 +321,8 @@ def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, ob
         raise InputError(
             f"{path} line 1: has no `{missing[0]}` column; the first line must name the columns"
         )
-    repeated = sorted({name for name in header if header.count(name) > 1})
-    if repeated:
-        raise InputError(f"{path} line 1: column {repeated[0]!r} is repeated; keep one")
+    if twice := repeated(header):
+        raise InputError(f"{path} line 1: column {min(twice)!r} is repeated; keep one")
     rows: list[tuple[str, dict[str, object]]] = []
     try:
         for row in reader:

@@ -7,7 +7,6 @@ CSV: one row per frame, a column per shape, and a column of frames or times (``F
 """
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -29,7 +28,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import MAX_FRAME, exact_rate
-from usdface.core.text import first_few, read_json, read_text
+from usdface.core.text import first_few, read_json, read_text, repeated
 
 LARGEST_JSON_BYTES = 1 << 30
 _LARGEST_NAMES_BYTES = 16 << 20
@@ -154,8 +153,7 @@ def _read_csv(path: Path) -> WeightSamples:
         raise InputError(
             f"{header.where}: has no `frame` column; the first line must name the columns"
         )
-    twice = [kind for kind, count in Counter(filter(None, kinds)).items() if count > 1]
-    if twice:
+    if twice := repeated(filter(None, kinds)):
         raise InputError(f"{header.where}: {twice[0]} is in two columns; keep one")
     texts = [at for at, kind in enumerate(kinds) if kind in _TEXTS]
     table = read_number_table(
@@ -369,6 +367,5 @@ def _load(path: Path) -> Any:
 
 
 def _check_unique(path: Path, names: Sequence[Any]) -> None:
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
+    if twice := repeated(names):
         raise InputError(f"{path}: {first_few(twice)} is named twice; keep one")

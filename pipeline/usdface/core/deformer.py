@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
-from usdface.core.assets import Rig, RigMesh, range_ends
+from usdface.core.assets import Rig, RigMesh, point_slices, range_ends
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 from usdface.numerics.surface.triangulation import triangulate
@@ -16,9 +16,7 @@ class Deformer:
     Attributes
     ----------
     neutral : (points, 3) float array
-        Every mesh at rest [mm].
-    starts : (meshes + 1,) int array
-        Mesh *i* owns the points ``starts[i]:starts[i + 1]``.
+        Every mesh at rest [mm]; see `point_slices`.
     triangles : (triangles, 3) int array
         Of all meshes, counterclockwise seen from outside.
     shapes : BlendShapes
@@ -27,13 +25,10 @@ class Deformer:
 
     def __init__(self, rig: Rig) -> None:
         counts = [len(mesh.points) for mesh in rig.meshes]
-        self.starts: IntArray = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        places = list(zip(rig.meshes, point_slices(rig.meshes), strict=True))
         self.neutral: FloatArray = np.concatenate([mesh.points for mesh in rig.meshes])
         self.triangles: IntArray = np.concatenate(
-            [
-                _outward_triangles(mesh) + start
-                for mesh, start in zip(rig.meshes, self.starts, strict=False)
-            ]
+            [_outward_triangles(mesh) + own.start for mesh, own in places]
         )
         skin = {mesh.path for mesh in rig.skin_meshes}
         self._is_skin = np.repeat([mesh.path in skin for mesh in rig.meshes], counts)
@@ -45,9 +40,9 @@ class Deformer:
             [
                 ChannelKeys(
                     channels[shape.name],
-                    [Key(key.weight, key.points + start, key.offsets) for key in shape.keys],
+                    [Key(key.weight, key.points + own.start, key.offsets) for key in shape.keys],
                 )
-                for mesh, start in zip(rig.meshes, self.starts, strict=False)
+                for mesh, own in places
                 for shape in mesh.shapes
             ],
             logic=rig.logic if rig.combinations else None,

@@ -1,6 +1,7 @@
 """Numbers and lists in messages; text and JSON files."""
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,11 @@ def pluralize(count: int, noun: str) -> str:
     `noun`: in the singular; one whose plural ends in s.
     """
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """Return the names that occur more than once, each once."""
+    return [name for name, count in Counter(names).items() if count > 1]
 
 
 def first_few(names: Iterable[object], *, most: int = 5, between: str = ", ") -> str:

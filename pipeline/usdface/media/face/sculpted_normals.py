@@ -9,8 +9,8 @@ shapes without normal offsets, normals follow the surface.
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, IntArray
-from usdface.core.assets import Rig, RigMesh
+from usdface.core.arrays import FloatArray, IntArray, coordinates_of
+from usdface.core.assets import Rig, RigMesh, point_slices
 from usdface.core.deformer import Deformer
 from usdface.numerics.surface.triangulation import normal_operator, triangulate, vertex_normals
 
@@ -36,7 +36,7 @@ class SculptedNormals:
         rest = [np.zeros(mesh.points.shape) for mesh in rig.meshes]
         rows, columns, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
         row = 0
-        for own, mesh, start in zip(rest, rig.meshes, deformer.starts, strict=False):
+        for own, mesh, part in zip(rest, rig.meshes, point_slices(rig.meshes), strict=True):
             keys = [key for shape in mesh.shapes for key in shape.keys]
             first, row = row, row + len(keys)
             sculpted = mesh.normals is not None or any(k.normal_offsets is not None for k in keys)
@@ -51,7 +51,7 @@ class SculptedNormals:
                 beyond = surface.rest - surface.moved(key.points, key.offsets)
                 beyond[key.points] += surface.sign * key.normal_offsets
                 at = np.flatnonzero(np.abs(beyond).max(axis=1) > 1e-9)
-                columns.append((3 * (start + at)[:, None] + np.arange(3)).ravel())
+                columns.append(coordinates_of(part.start + at))
                 rows.append(np.full(3 * len(at), first + number))
                 values.append(beyond[at].ravel())
         self._rest = np.concatenate(rest)

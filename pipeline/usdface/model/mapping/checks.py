@@ -7,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
-from usdface.core.text import first_few
+from usdface.core.text import first_few, repeated
 
 MINIMUM_PAIRS = 2
 
@@ -100,9 +100,8 @@ def _shape_faults(references: References, ranges: FloatArray, gram: FloatArray |
         if got != want
     ]
     for kind, names in (("marker", references.marker_names), ("shape", references.shape_names)):
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            faults.append(f"{kind} names are not unique: {first_few(repeated)}; rename them")
+        if twice := repeated(names):
+            faults.append(f"{kind} names are not unique: {first_few(sorted(twice))}; rename them")
     if references.motion is not None and references.motion.components.shape[1] != 3 * markers:
         faults.append(
             f"the motion space has {references.motion.components.shape[1] // 3} markers, the "

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, pluralize, repeated
 from usdface.runner.result import StepResult
 from usdface.specs.edits import CombineSpec
 from usdface.usdio.performance.read import PerformanceReader
@@ -53,9 +53,8 @@ def _names(spec: CombineSpec) -> list[str]:
         common += 1
     names = given or [".".join(stem[: len(stem) - common]) for stem in stems]
     names = ["".join(each if _may_name_variant(each) else "_" for each in name) for name in names]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(f"two performances would be named {twice[0]}; name them with --takes")
+    if twice := repeated(names):
+        raise InputError(f"two performances would be named {min(twice)}; name them with --takes")
     return names
 
 

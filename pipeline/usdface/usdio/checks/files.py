@@ -1,6 +1,5 @@
 """Checks of files, paths, names of shapes, sides, instances and provenance."""
 
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import PurePosixPath, PureWindowsPath
 
@@ -8,7 +7,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from usdface.core.arrays import FloatArray
-from usdface.core.text import first_few, frame_ranges
+from usdface.core.text import first_few, frame_ranges, repeated
 from usdface.usdio.authoring import names_in, read_gaps
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
@@ -25,8 +24,7 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
     if not names or is_recorded(prim):
         return
     path = str(prim.GetPath())
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
+    if twice := repeated(names):
         message = f"{first_few(twice)}: named twice; name each shape once"
         yield Fault.error(path, message)
     yield from _unmatched(prim)

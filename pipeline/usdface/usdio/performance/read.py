@@ -1,7 +1,6 @@
 """Reading of performances: solve, edits and rig."""
 
 import hashlib
-from collections import Counter
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +14,7 @@ from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.rates import exact_rate, label_alike, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
-from usdface.core.text import first_few
+from usdface.core.text import first_few, repeated
 from usdface.usdio.authoring import names_in, read_array_samples, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
@@ -75,8 +74,7 @@ class PerformanceReader:
         )
         weights = UsdSkel.Animation(self.animation)
         self.names = names_in(weights.GetBlendShapesAttr())
-        twice = [name for name, count in Counter(self.names).items() if count > 1]
-        if twice:
+        if twice := repeated(self.names):
             raise InputError(
                 f"{path} <{self.animation.GetPath()}>: blendShapes names {first_few(twice)} twice, "
                 "so that their weights are ambiguous; name each shape once"

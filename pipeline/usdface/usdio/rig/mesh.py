@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.core.assets import Rig, RigMesh
+from usdface.core.assets import Rig, RigMesh, point_slices
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.authoring import check_not_instanced, prim_or_root, prims_below
@@ -171,19 +171,17 @@ class BoundSurface:
 
 def rig_surfaces(rig: Rig) -> tuple[BoundSurface, ...]:
     """Return all meshes of a rig as one surface, then each of them."""
-    starts = np.cumsum([0, *(len(mesh.points) for mesh in rig.meshes)])
+    places = list(zip(rig.meshes, point_slices(rig.meshes), strict=True))
     shapes = [
-        replace(shape, keys=tuple(replace(key, points=key.points + start) for key in shape.keys))
-        for mesh, start in zip(rig.meshes, starts, strict=False)
+        replace(shape, keys=tuple(replace(k, points=k.points + own.start) for k in shape.keys))
+        for mesh, own in places
         for shape in mesh.shapes
     ]
     whole = RigMesh(
         path=rig.prim,
         points=np.concatenate([mesh.points for mesh in rig.meshes]),
         face_counts=np.concatenate([mesh.face_counts for mesh in rig.meshes]),
-        face_indices=np.concatenate(
-            [mesh.face_indices + start for mesh, start in zip(rig.meshes, starts, strict=False)]
-        ),
+        face_indices=np.concatenate([mesh.face_indices + own.start for mesh, own in places]),
         shapes=tuple(shapes),
     )
     return tuple(BoundSurface(rig.file, mesh) for mesh in (whole, *rig.meshes))

@@ -13,7 +13,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.core.assets import Rig
+from usdface.core.assets import Rig, point_slices
 from usdface.usdio.authoring import top_path
 from usdface.usdio.layers import refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
@@ -83,21 +83,20 @@ class RigMotion(PointMotion):
         return np.array([self._ours @ each @ back for each in moved]).reshape(-1, 4, 4)
 
     def _read_shares(self, rig: Rig) -> sparse.csc_array:
-        rows, columns, values, start = list[IntArray](), list[IntArray](), list[FloatArray](), 0
+        rows, columns, values = list[IntArray](), list[IntArray](), list[FloatArray]()
         number: dict[tuple[Sdf.Path, int], int] = {}
-        for mesh in rig.meshes:
-            count = len(mesh.points)
+        for mesh, own in zip(rig.meshes, point_slices(rig.meshes), strict=True):
             below = Sdf.Path(mesh.path).MakeRelativePath(Sdf.Path(rig.prim))
-            for part, points, share in self._shares_of(below, count):
-                rows.append(start + points)
+            for part, points, share in self._shares_of(below, len(mesh.points)):
+                rows.append(own.start + points)
                 columns.append(np.full(len(points), number.setdefault(part, len(number))))
                 values.append(share)
-            start += count
         self._parts = list(number)
+        count = sum(len(mesh.points) for mesh in rig.meshes)
         if not rows:
-            return sparse.csc_array((start, 0))
+            return sparse.csc_array((count, 0))
         entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        return sparse.csc_array(entries, shape=(start, len(number)))
+        return sparse.csc_array(entries, shape=(count, len(number)))
 
     def _shares_of(
         self, mesh: Sdf.Path, count: int
