@@ -71,6 +71,7 @@ def test_json_says_the_same_and_a_lens_needs_no_place(tmp_path: Path) -> None:
         ("-0.004]", "-0.004, 0.2]", r"fisheye distortion, or more terms than k1, k2, p1, p2, k3"),
         ("rotation = [", "rotation = [1, 0, 0, 0, 1, 0, 0, 0, 2] #", r"is not a rotation matrix"),
         ("matrix", "matricks", r"holds no camera, .*found: cam_0, metadata"),
+        ("size = [", "size = [0, 720] # [", r"camera front: size is 0 x 720 pixels"),
     ],
 )
 def test_what_is_no_calibration_is_said(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -78,4 +79,11 @@ def test_what_is_no_calibration_is_said(tmp_path: Path, old: str, new: str, mess
     path = tmp_path / "calibration.toml"
     path.write_text(ANIPOSE.replace(old, new))
     with pytest.raises(InputError, match=message):
+        read_calibration(path)
+
+
+def test_two_cameras_of_one_name_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text(ANIPOSE + ANIPOSE.replace("cam_0", "cam_1").replace("metadata", "more"))
+    with pytest.raises(InputError, match="2 cameras, of which several are named front"):
         read_calibration(path)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from usdface.capture.sniff import read_capture, recognise_format
+from usdface.capture.weight_samples import read_weight_samples
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -218,6 +219,12 @@ def test_a_matrix_takes_its_names_from_beside_it(tmp_path: Path) -> None:
     np.save(tmp_path / "objects.npy", np.array([{}, 1], object), allow_pickle=True)
     with pytest.raises(InputError, match="without pickled objects"):
         read_capture(tmp_path / "objects.npy", rate=25.0)
+    with (tmp_path / "several.npy").open("wb") as stream:
+        np.savez(stream, weights=WEIGHTS)
+    with pytest.raises(InputError, match=r"several\.npy: is an archive of several arrays"):
+        read_weight_samples(tmp_path / "several.npy")
+    with pytest.raises(InputError, match=r"several\.npy: is an archive of several arrays"):
+        read_capture(path, rate=25.0, shapes=tmp_path / "several.npy")
 
 
 def test_a_matrix_without_rows_is_refused(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.core.text import first_few, read_json, read_text
+from usdface.core.text import first_few, read_json, read_text, repeated
 from usdface.numerics.rigid.camera_views import CameraPose
 from usdface.numerics.rigid.perspective import PinholeCamera
 
@@ -49,11 +49,14 @@ def read_calibration(path: Path) -> dict[str, CalibratedCamera]:
     tables = data if isinstance(data, dict) else {}
     if isinstance(tables.get("cameras"), dict):
         tables = tables["cameras"]
-    cameras = {
-        str(table.get("name", key)): _camera(table, f"{path}: camera {table.get('name', key)}")
+    named = [
+        (str(table.get("name", key)), table)
         for key, table in tables.items()
         if isinstance(table, dict) and "matrix" in table and table.get("ignore") is not True
-    }
+    ]
+    if twice := repeated(name for name, _ in named):
+        raise InputError(f"{path}: {len(named)} cameras, of which several are named {twice[0]}")
+    cameras = {name: _camera(table, f"{path}: camera {name}") for name, table in named}
     if not cameras:
         raise InputError(
             f"{path}: holds no camera, a table with matrix, distortions, rotation and translation "
@@ -82,6 +85,8 @@ def _camera(table: dict[str, Any], where: str) -> CalibratedCamera:
     if "size" in table:
         width, height = _numbers(table["size"], (2,), f"{where}: size")
         size = (round(width), round(height))
+        if min(size) < 1:
+            raise InputError(f"{where}: size is {size[0]} x {size[1]} pixels; calibrate again")
     if "rotation" not in table or "translation" not in table:
         return CalibratedCamera(camera, size, None)
     rotation = np.array(table["rotation"], dtype=object)

@@ -359,11 +359,14 @@ def _names(path: Path) -> list[str]:
 def _load(path: Path) -> Any:
     check_may_open(path)
     try:  # mapped: a damaged header must not allocate more memory than the file has
-        return np.load(path, mmap_mode="r", allow_pickle=False)
+        loaded = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError, SyntaxError, TypeError, KeyError, TokenError) as error:
         raise InputError(
             f"{path}: cannot be read as a NumPy array without pickled objects: {error}"
         ) from error
+    if not isinstance(loaded, np.ndarray):
+        raise InputError(f"{path}: is an archive of several arrays; save one of them with np.save")
+    return loaded
 
 
 def _check_unique(path: Path, names: Sequence[Any]) -> None:

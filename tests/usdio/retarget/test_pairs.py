@@ -216,6 +216,11 @@ def test_a_sequence_comes_back_with_sides_of_different_length(tmp_path: Path) ->
     np.testing.assert_allclose(back.target.translations, target.translations, atol=1e-6)
     np.testing.assert_allclose(back.key_weights, sequence.key_weights, atol=1e-6)
     assert not [each for each in validate(tmp_path / "s.usda") if each.severity == "error"]
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "s.usda"))
+    layer.SetTimeSample("/Sequence.face:sequence:keyWeight", 3, float("nan"))
+    layer.Save()
+    with pytest.raises(InputError, match=r"keyWeight> time code 3: is not finite; correct the key"):
+        read_sequence(tmp_path / "s.usda")
     with pytest.raises(InputError, match="not a sequence"):
         read_sequence(write_human(tmp_path / "human.usda").file)
 

@@ -91,6 +91,11 @@ def test_ranges_of_one_shape_on_several_meshes_are_equal(tmp_path: Path, stated:
     stage.Save()
     with pytest.raises(InputError, match=r"face:range is 0 to .* on another mesh 0 to .* equal"):
         read_rig(tmp_path / "rig.usda")
+    for wrong in ((1.0, -1.0), (0.0, np.inf), (np.nan, 1.0)):
+        ranges[stated].Set(wrong)
+        stage.Save()
+        with pytest.raises(InputError, match=r"face:range is .*; write two finite weights"):
+            read_rig(tmp_path / "rig.usda")
 
 
 def test_deformation_equals_usdskel_with_inbetweens_and_beyond_the_range(tmp_path: Path) -> None:

@@ -82,13 +82,17 @@ def read_sequence(path: Path) -> EmotionalSequence:
         values = read_array_samples(path, attribute, times, names, remedy=remedy)
         target = replace(target, attributes=names, values=values)
     weight = root.GetAttribute(KEY_WEIGHT.name)
-    weights = [weight.Get(time) if weight else None for time in times]
+    stated = [weight.Get(time) if weight else None for time in times]
+    key_weights = np.array([1.0 if value is None else float(value) for value in stated])
+    if not np.isfinite(key_weights).all():
+        time = times[int(np.argmin(np.isfinite(key_weights)))]
+        raise InputError(f"{path} <{KEY_WEIGHT}> time code {time}: is not finite; correct the key")
     return EmotionalSequence(
         label=text_of(root, _LABEL),
         source_shapes=source.shapes,
         source=source.weights,
         target=target,
-        key_weights=np.array([1.0 if value is None else float(value) for value in weights]),
+        key_weights=key_weights,
     )
 
 

@@ -292,6 +292,11 @@ def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...], path: Path) -> FloatAr
     stated = dict[str, tuple[float, float]]()
     for name, prim in shape_prims(root):
         low, high = value_of(prim, RANGE_ATTRIBUTE) or (0.0, 0.0)
+        if not (np.isfinite([low, high]).all() and low <= high):
+            raise InputError(
+                f"{path} <{prim.GetPath()}>: {RANGE_ATTRIBUTE} is {low:g} to {high:g}; write two "
+                "finite weights, the lowest first"
+            )
         if low < high and stated.setdefault(name, (low, high)) != (low, high):
             raise InputError(
                 f"{path} <{prim.GetPath()}>: {RANGE_ATTRIBUTE} is {low:g} to {high:g}, on another "
