@@ -75,26 +75,23 @@ def read_edits(animation: Usd.Prim, frames: IntArray) -> dict[str, ShapeEdit]:
 
 
 def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEdit:
-    nothing = no_edit(len(frames))
-    offset = _read_curve(parts.get(_OFFSET), frames)
-    override = _read_curve(parts.get(OVERRIDE), frames)
-    mask = _read_curve(parts.get(MASK), frames)
+    offset, override, mask, solve = (_read_curve(parts.get(kind), frames) for kind in PREFIXES)
+    nothing, unknown = no_edit(len(frames)), np.full(len(frames), np.nan)
+    if offset is None:
+        offset = nothing.offset
     if override is None:
-        mask = None
+        override, mask = nothing.override, nothing.mask
     elif mask is None:
         mask = _sampled(parts[OVERRIDE], frames).astype(np.float64)
-    solve = _read_curve(parts.get(EDITED_SOLVE), frames)
+    if solve is not None:
+        solve = np.where(_sampled(parts[EDITED_SOLVE], frames), solve, np.nan)
     hidden = _blocked(parts.get(OVERRIDE), frames) | _blocked(parts.get(MASK), frames)
     curve = EditCurve(
-        nothing.offset
-        if offset is None
-        else np.where(_blocked(parts.get(_OFFSET), frames), 0.0, offset),
-        nothing.override if override is None else override,
-        nothing.mask if mask is None else np.where(hidden, 0.0, np.clip(mask, 0.0, 1.0)),
+        np.where(_blocked(parts.get(_OFFSET), frames), 0.0, offset),
+        override,
+        np.where(hidden, 0.0, np.clip(mask, 0.0, 1.0)),
     )
-    if solve is None:
-        return ShapeEdit(curve, np.full(len(frames), np.nan))
-    return ShapeEdit(curve, np.where(_sampled(parts[EDITED_SOLVE], frames), solve, np.nan))
+    return ShapeEdit(curve, unknown if solve is None else solve)
 
 
 def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray | None:
@@ -121,9 +118,7 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
 
 def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
     """Return the frames from a blocked sample to the next that is not."""
-    if attribute is None:
-        return np.zeros(len(frames), dtype=bool)
-    times = attribute.GetTimeSamples()
+    times = attribute.GetTimeSamples() if attribute is not None else []
     blocks = np.array([attribute.Get(time) is None for time in times])
     if not blocks.any():
         return np.zeros(len(frames), dtype=bool)

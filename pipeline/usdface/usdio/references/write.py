@@ -75,29 +75,28 @@ def write_references(
     images : sequence of Path or None, optional
         The picture of each pair.
     """
-    layer_paths = (tuned_path(path), proposed_path(path))
+    tuned_file, proposed_file, samples = tuned_path(path), proposed_path(path), samples_path(path)
     here = list(zip(references.takes, references.frames.tolist(), strict=True))
     pairs = [
         each
-        for each in _merge_tuned(layer_paths[0], tuned)
+        for each in _merge_tuned(tuned_file, tuned)
         if here[each.pair : each.pair + 1] == [(each.take, each.frame)]
     ]
-    samples = samples_path(path)
-    files = (layer_paths[1], samples, path)
+    files = (proposed_file, samples, path)
     made: dict[Path, Provenance | None] = dict.fromkeys(files, provenance)
-    if pairs or not layer_paths[0].is_file():
-        made = {layer_paths[0]: provenance if tuned else None} | made
+    if pairs or not tuned_file.is_file():
+        made = {tuned_file: provenance if tuned else None} | made
     with new_layers(made) as layers:
         by_path = dict(zip(made, layers, strict=True))
-        if layer_paths[0] in by_path:
-            _author_tuned_layer(by_path[layer_paths[0]], references, pairs)
-        _author_weights(by_path[layer_paths[1]], references, references.weights)
-        _author_frames(by_path[layer_paths[1]], references)
+        if tuned_file in by_path:
+            _author_tuned_layer(by_path[tuned_file], references, pairs)
+        _author_weights(by_path[proposed_file], references, references.weights)
+        _author_frames(by_path[proposed_file], references)
         layer = by_path[path]
         for each in {samples, path}:
             author_pair_header(by_path[each], ROOT, len(references.frames))
         # The samples are above the tuned layer, which may have frames and takes of earlier pairs.
-        sublayers = [each for each in (samples, *layer_paths) if each != path]
+        sublayers = [each for each in (samples, tuned_file, proposed_file) if each != path]
         layer.subLayerPaths = [relative_path(each, path) for each in sublayers]
         _author_pairs(layer, references)
         _author_samples(by_path[samples], references)

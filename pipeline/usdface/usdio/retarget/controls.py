@@ -190,14 +190,14 @@ def read_control_clip(
         First and last, inclusive; by default all.
     """
     reader = PerformanceReader(path)
-    prim = reader.animation
+    prim, top = reader.animation, _top_of(reader.stage, reader.animation)
     first, last = frames_within(path, frames, reader.first_frame, reader.last_frame)
     if attributes is None:
-        top = _top_or_none(reader.stage, prim)
         moving = () if top is None else moving_attributes(top)
         names = tuple(dict.fromkeys((*attribute_names(prim), *moving)))
+    elif top is None and attributes:
+        raise InputError(f"{path}: has no default prim; set one, attributes are named from it")
     else:
-        top = top_of(reader.stage, prim, path) if attributes else None
         names = () if top is None else _match_attributes(top, attributes, path)
     controls = controls_at(prim, top, names, range(first, last + 1), path)
     if reader.edits:
@@ -225,18 +225,13 @@ def moving_attributes(top: Usd.Prim) -> tuple[str, ...]:
     )
 
 
-def _top_or_none(stage: Usd.Stage, animation: Usd.Prim) -> Usd.Prim | None:
-    """Return the prim to which names of attributes are relative; None if a layer has none."""
+def _top_of(stage: Usd.Stage, animation: Usd.Prim) -> Usd.Prim | None:
+    """Return the prim to which names of attributes are relative: the rig of a performance.
+
+    None if a layer has no default prim.
+    """
     top = animation.GetParent() if animation.GetName().startswith(ANIMATION) else None
     return top or stage.GetDefaultPrim() or None
-
-
-def top_of(stage: Usd.Stage, animation: Usd.Prim, path: Path) -> Usd.Prim:
-    """Return the prim to which names of attributes are relative: the rig of a performance."""
-    top = _top_or_none(stage, animation)
-    if top is None:
-        raise InputError(f"{path}: has no default prim; set one, attributes are named from it")
-    return top
 
 
 def controls_at(

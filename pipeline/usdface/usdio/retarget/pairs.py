@@ -160,22 +160,20 @@ def _times(
     stage: Usd.Stage, source: Usd.Prim, target: Usd.Prim, attributes: tuple[str, ...], path: Path
 ) -> list[int]:
     """Return the time codes of the pairs, at which both sides must have keys."""
-    top = stage.GetPrimAtPath(_TARGET)
-    keyed = {place: _sampled(prim) for place, prim in ((_SOURCE, source), (_TARGET, target))}
+    top, of_source, of_target = stage.GetPrimAtPath(_TARGET), _sampled(source), _sampled(target)
     for name in attributes:
         attribute = control_attribute(top, name, path)
-        keyed[_TARGET] |= {round(time) for time in attribute.GetTimeSamples()}
-    times = sorted(keyed[_SOURCE] | keyed[_TARGET])
+        of_target |= {round(time) for time in attribute.GetTimeSamples()}
+    times = sorted(of_source | of_target)
     if not times:
         raise InputError(f"{path}: holds no pair; key both faces at time code 1, 2, ...")
     for time in times:
-        for place, side in ((_SOURCE, "source"), (_TARGET, "target")):
-            if time not in keyed[place]:
-                animation = SOURCE_WEIGHTS if place == _SOURCE else TARGET_CONTROLS
-                raise InputError(
-                    f"{path} <{animation}>: pair {time} has no {side} side: nothing is keyed at "
-                    f"time code {time}; key the {side} there, or remove the pair"
-                )
+        if time not in of_source & of_target:
+            side, animation = ("source", source) if time in of_target else ("target", target)
+            raise InputError(
+                f"{path} <{animation.GetPath()}>: pair {time} has no {side} side: nothing is keyed "
+                f"at time code {time}; key the {side} there, or remove the pair"
+            )
     return times
 
 
