@@ -80,17 +80,12 @@ def read_layout(path: Path) -> C3dLayout:
             )
         processor = PROCESSORS[prefix[3]]
         words = np.frombuffer(header, processor.unsigned)
+        # Up to the data: some programs write a block count that is too small.
+        wanted = max(prefix[2] * BLOCK_BYTES, (int(words[8]) - 1) * BLOCK_BYTES - section_start)
         file.seek(section_start)
-        section = file.read(
-            _section_size(prefix[2], section_start, int(words[8]) * BLOCK_BYTES, size)
-        )
+        section = file.read(min(wanted, size - section_start))
     parameters = parse_parameters(section, processor=processor)
     return _settle_layout(path, size, header, processor, parameters)
-
-
-def _section_size(blocks: int, start: int, data_start: int, file_size: int) -> int:
-    """Return the number of bytes to parse; some programs write a block count that is too small."""
-    return min(max(blocks * BLOCK_BYTES, data_start - BLOCK_BYTES - start), file_size - start)
 
 
 def _settle_layout(

@@ -39,6 +39,7 @@ from usdface.core.text import first_few
 
 _MOST_HEADER_ROWS = 12
 _RATES = ("Export Frame Rate", "Capture Frame Rate")
+"""Of the exported rows, or else of the capture."""
 _STATED = (*_RATES, "Length Units")
 _TIMECODE = re.compile(r"(\d\d:\d\d:\d\d[:;]\d\d)(?:\.(\d+))?")
 
@@ -94,12 +95,14 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     )
     table = without_repeated_rows(table, notes)
     first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    rate = _rate(header.stated, header.first_line)
-    if rate is None:
+    key = next((key for key in _RATES if header.stated.get(key)), None)
+    if key is not None:
+        rate = read_rate(header.stated[key], header.first_line, key)
+        if options.rate is None:
+            check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
+    else:
         rate = rate_of_times(table.values[:, 1], frames, where=str(path))
         notes.append(f"the first line states no rate; {float(rate):g} taken from the times")
-    elif options.rate is None:
-        check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
     stamp = table.texts[stamps[0]][0] if stamps and table.texts[stamps[0]] else ""
     timecode_start = _timecode(stamp, rate, notes)
     units, field = header.stated.get("Length Units", ""), "Length Units"
@@ -163,12 +166,6 @@ def _read_header(lines: Iterator[TableLine]) -> _Header:
 def _row_with(wanted: set[str], rows: list[tuple[TableLine, list[str]]]) -> int | None:
     """Return the first of the rows with one of these cells."""
     return next((at for at, (_, cells) in enumerate(rows) if wanted.intersection(cells)), None)
-
-
-def _rate(stated: dict[str, str], line: TableLine) -> Fraction | None:
-    """Return the rate of the exported rows, or else of the capture."""
-    key = next((key for key in _RATES if stated.get(key)), None)
-    return None if key is None else read_rate(stated[key], line, key)
 
 
 def _timecode(stamp: str, rate: Fraction, notes: list[str]) -> str:

@@ -6,6 +6,7 @@ transforms and float attributes (deformer controls).
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,10 @@ class ControlClip:
     controls: Controls
     first_frame: int
     """Frame number of the first row."""
+    rate: Fraction
+    """Frames per second."""
+    timecode_start: str = ""
+    """SMPTE timecode of the first frame, empty if unknown."""
 
     @property
     def last_frame(self) -> int:

@@ -27,11 +27,6 @@ class Provenance:
     """Version of this package."""
 
     @property
-    def spec_hash(self) -> str:
-        """Hash of the spec alone."""
-        return hash_text(self.spec)
-
-    @property
     def digest(self) -> str:
         """Eight hex digits that depend on the spec and the inputs, for names of files."""
         return hash_text(f"{self.spec}{sorted(self.inputs.items())}")[:8]

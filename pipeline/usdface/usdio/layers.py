@@ -13,7 +13,7 @@ from pxr import Sdf, Tf, Usd, UsdUtils, Vt
 
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
-from usdface.core.provenance import Provenance
+from usdface.core.provenance import Provenance, hash_text
 from usdface.core.replacing import replacing_together
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio import SCHEMA_VERSION
@@ -181,7 +181,7 @@ def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:
         "schema": SCHEMA_VERSION,
         "step": provenance.step,
         "spec": provenance.spec,
-        "specHash": provenance.spec_hash,
+        "specHash": hash_text(provenance.spec),
         # Two lists, since a path may have characters that a dictionary key may not.
         "inputs": Vt.StringArray(list(provenance.inputs.keys())),
         "inputHashes": Vt.StringArray(list(provenance.inputs.values())),

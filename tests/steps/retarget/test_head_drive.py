@@ -340,7 +340,7 @@ def test_joined_parts_keep_joints_and_attributes(tmp_path: Path, clips: str) -> 
         write_creature_performance(parts[-1], rig, replace(acts, **rows), first=first)
     whole = tmp_path / "whole.usda"
     assert usdface("join", *parts, "--clips", clips, "--out", whole) == 0
-    joined = read_control_clip(whole).clip.controls
+    joined = read_control_clip(whole).controls
     assert (joined.joints, joined.attributes) == (acts.joints, acts.attributes)
     for name in ("weights", "translations", "rotations", "values"):
         np.testing.assert_allclose(getattr(joined, name), getattr(acts, name), atol=1e-6)

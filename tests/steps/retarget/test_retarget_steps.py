@@ -140,15 +140,15 @@ def test_pairs_without_rest_get_one_so_that_a_face_at_rest_stays_there(
     write_human_performance(stall / "still.usda", stall.human, 0 * human_moves(20))
     line = "retarget still.usda --retargeting x.retarget.usdc --out still.beast.usda"
     assert usdface(*line.split()) == 0
-    made = read_control_clip(stall / "still.beast.usda").clip.controls
+    made = read_control_clip(stall / "still.beast.usda").controls
     np.testing.assert_allclose(made.weights, 0.0, atol=1e-5)
 
 
 def test_every_control_of_the_target_is_driven(performed: Stall, capsys) -> None:
     read = read_control_clip(performed / "beast.shot.usda")
     truth = creature_acts(performed.weights)
-    controls = read.clip.controls
-    assert read.clip.first_frame == FIRST
+    controls = read.controls
+    assert read.first_frame == FIRST
     assert read.timecode_start == "01:00:04:05"
     assert len(controls) == FRAMES
     assert np.sqrt(((controls.weights - truth.weights) ** 2).mean()) < 0.06
@@ -182,7 +182,7 @@ def test_edits_are_told_of_when_a_target_is_retargeted_or_warped_again(
     sequence_and_matches(performed)
     warp = "warp beast.shot.usda --matches shot.matches.usda --out warped.usda --timing fit"
     assert usdface(*warp.split()) == 0
-    shape = read_control_clip(Path("beast.shot.usda")).clip.controls.shapes[0]
+    shape = read_control_clip(Path("beast.shot.usda")).controls.shapes[0]
     again = "retarget shot.usda --retargeting x.retarget.usdc --out beast.shot.usda"
     for line, name in ((again, "beast.shot.usda"), (warp, "warped.usda")):
         assert usdface("edit", name, "--shape", shape, "--add", "0.1") == 0
@@ -209,7 +209,7 @@ def test_one_source_drives_many_targets_at_once(trained: Stall, capsys) -> None:
     told = json.loads(capsys.readouterr().out)
     assert [each["attributes"] for each in told["figures"]["targets"]] == [2, 1]
     for name in ("one.usda", "two.usda"):
-        assert len(read_control_clip(Path(name)).clip.controls) == FRAMES
+        assert len(read_control_clip(Path(name)).controls) == FRAMES
     before = Path("one.usda").read_bytes()
     assert usdface(*line.split()) == 0  # nothing has changed, and nothing is written
     assert json.loads(capsys.readouterr().out)["up_to_date"]
@@ -334,8 +334,8 @@ def test_a_sequence_is_put_in_and_the_rest_stays_to_the_last_bit(
     assert usdface(*line.split()) == 0
     beyond = "replace frames after them: 191-210 (joy at 150-190); --timing fit"
     assert (beyond in capsys.readouterr().out) == (timing == "own")
-    before = read_control_clip(Path("beast.shot.usda")).clip.controls
-    after = read_control_clip(Path("warped.usda")).clip.controls
+    before = read_control_clip(Path("beast.shot.usda")).controls
+    after = read_control_clip(Path("warped.usda")).controls
     last = 190 if timing == "fit" else 150 + 60
     outside = np.r_[0 : 150 - 8 - FIRST, last + 9 - FIRST : FRAMES]
     for field in ("weights", "translations", "rotations", "scales", "values"):
@@ -459,7 +459,7 @@ def test_alpha_is_keyed_over_time(trained: Stall) -> None:
     for number, extra in enumerate(("", "--alpha alpha.csv", "--alpha alpha.USDA")):
         line = f"retarget shot.usda --retargeting h.usda --out a{number}.usda {extra}"
         assert usdface(*line.split()) == 0
-        made.append(read_control_clip(Path(f"a{number}.usda")).clip.controls.weights)
+        made.append(read_control_clip(Path(f"a{number}.usda")).controls.weights)
     assert np.abs(made[1] - made[0]).max() > 1e-4
     np.testing.assert_array_equal(made[1], made[2])
 
@@ -694,7 +694,7 @@ steps:
 def test_a_job_of_all_steps_runs_once_and_then_is_up_to_date(stall: Stall, capsys) -> None:
     Path("x.job.yaml").write_text(JOB, encoding="utf-8")
     assert usdface("run", "x.job.yaml") == 0
-    assert len(read_control_clip(Path("warped.usda")).clip.controls) == FRAMES
+    assert len(read_control_clip(Path("warped.usda")).controls) == FRAMES
     capsys.readouterr()
     assert usdface("check", "x.job.yaml", "--json") == 0
     states = [each["state"] for each in json.loads(capsys.readouterr().out)]

@@ -29,8 +29,8 @@ def test_all_controls_come_back_as_they_were_written(tmp_path: Path) -> None:
     controls = creature_acts(human_moves(40))
     write_creature_performance(tmp_path / "p.usda", rig, controls, first=7)
     read = read_control_clip(tmp_path / "p.usda")
-    back = read.clip.controls
-    assert (read.clip.first_frame, read.clip.last_frame) == (7, 46)
+    back = read.controls
+    assert (read.first_frame, read.last_frame) == (7, 46)
     assert (back.shapes, back.joints, back.attributes) == (
         controls.shapes,
         JOINTS,
@@ -72,7 +72,7 @@ def test_weights_alone_leave_no_layer_of_other_controls(tmp_path: Path) -> None:
     assert controls_path(tmp_path / "p.usda").is_file()
     bare = type(controls)(**{**vars(controls), "joints": (), "attributes": ()})
     write_creature_performance(tmp_path / "p.usda", rig, bare)
-    assert read_control_clip(tmp_path / "p.usda").clip.controls.joints == ()
+    assert read_control_clip(tmp_path / "p.usda").controls.joints == ()
 
 
 def test_rest_is_what_the_rig_has(tmp_path: Path) -> None:

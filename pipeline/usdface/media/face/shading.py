@@ -22,7 +22,6 @@ SCLERA = np.array([0.66, 0.64, 0.62], np.float32)
 IRIS = np.array([0.11, 0.15, 0.17], np.float32)
 PUPIL = np.array([0.006, 0.006, 0.006], np.float32)
 
-KEY_DIRECTION = np.array([-0.42, 0.46, 0.78], np.float32)
 KEY_SPREAD = 0.09
 """Radius of the key light over its distance, which softens its shadow."""
 
@@ -41,6 +40,7 @@ LIGHTS = (
     Light((0.72, 0.45, -0.62), (0.55, 0.60, 0.68)),
     Light((-0.85, 0.25, -0.55), (0.30, 0.33, 0.37)),
 )
+KEY_DIRECTION = np.array(LIGHTS[0].direction, np.float32)
 _SKY = np.array([0.30, 0.315, 0.345], np.float32)
 _GROUND = np.array([0.15, 0.13, 0.12], np.float32)
 # Extent of light beyond the terminator, by channel: red scatters furthest in skin.

@@ -128,9 +128,9 @@ def pack_face(
     triangles = np.searchsorted(used, surface.triangles)
     if surface.outward < 0:
         triangles = triangles[:, ::-1]
-    keys = _Keys.of(deformer, matrix)
+    keys, neutral = _Keys.of(deformer, matrix), _micrometres(surface.rest[used])
     arrays: dict[str, NDArray[Any]] = {
-        "neutral": _planes(_micrometres(surface.rest[used])),
+        "neutral": np.diff(neutral.T, prepend=0, axis=1).astype(np.int32),
         "triangles": np.diff(triangles.ravel(), prepend=0).astype(np.int32),
         "middles": np.searchsorted(used, _middles(surface, used)).astype(np.int32),
         "colors": _colors(rig, deformer, surface)[used].T,
@@ -313,11 +313,6 @@ def _camera(camera: Camera) -> dict[str, Any]:
 
 def _micrometres(lengths: FloatArray | Float32Array) -> NDArray[np.int64]:
     return np.round(np.asarray(lengths, np.float64) * STEPS_PER_MM).astype(np.int64)
-
-
-def _planes(positions: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Return all x, then all y, then all z, each as the difference from its predecessor."""
-    return np.diff(positions.T, prepend=0, axis=1).astype(np.int32)
 
 
 def _concatenated(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:

@@ -76,7 +76,8 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
         draw_text(page, curve.label, x=x, y=lane + 2, style=label_style, max_width=room)
         finite = curve.values[np.isfinite(curve.values)]
         if len(finite):
-            mean = _mean_label(float(finite.mean()), curve.unit or strip.unit)
+            unit = curve.unit or strip.unit
+            mean = f"{finite.mean():.0f}%" if unit == "%" else f"{finite.mean():.2f} {unit}"
             below = lane + round(size * 26)
             draw_text(page, mean, x=x, y=below, style=axis_style, max_width=room)
         area = page[lane : lane + round(size * LANE_HEIGHT), left : left + inner]
@@ -95,10 +96,6 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
     _draw_frame_axis(
         page, left, bottom + 4, inner, first_frame=strip.first_frame, count=count, scale=size
     )
-
-
-def _mean_label(mean: float, unit: str) -> str:
-    return f"{mean:.0f}%" if unit == "%" else f"{mean:.2f} {unit}"
 
 
 def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> None:

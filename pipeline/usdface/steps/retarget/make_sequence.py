@@ -30,7 +30,7 @@ def run(spec: MakeSequenceSpec, *, provenance: Provenance, progress: Progress) -
     read = read_control_clip(
         spec.target, attributes=attributes, frames=frame_range(spec.target_frames)
     )
-    target = read.clip.controls
+    target = read.controls
     for path, count, option in (
         (spec.source, len(source.weights), "--source-frames"),
         (spec.target, len(target), "--target-frames"),

@@ -93,7 +93,7 @@ def _with_rest(pairs: ExpressionPairs, rig: Rig) -> ExpressionPairs:
 def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
     if is_usd_name(spec.target):
         names = find_control_attributes(rig, spec.attributes)
-        clip = _without_driven(read_control_clip(spec.target, attributes=names).clip, rig)
+        clip = _without_driven(read_control_clip(spec.target, attributes=names), rig)
         rig.check_has(clip.controls.shapes, source=spec.target, remedy="give the rig it animates")
         return list(range(clip.first_frame, clip.last_frame + 1)), clip.controls
     if spec.attributes:

@@ -9,7 +9,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
-from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
+from usdface.core.controls import ControlClip, Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
@@ -43,7 +43,7 @@ from usdface.usdio.performance.weights_layer import (
     animation_name,
 )
 from usdface.usdio.retarget.control_performance import writing_control_performance
-from usdface.usdio.retarget.controls import ReadControls, read_control_clip
+from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.sequences import read_matches
 from usdface.usdio.rig.reference import read_rig_of_stage
 
@@ -73,8 +73,8 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     rig = read_rig_of_stage(reader.stage, reader.animation)
     read = read_control_clip(spec.performance)
     placements = _placements(spec, read)
-    space = control_space(read.clip.controls)
-    before = space.encode(read.clip.controls)
+    space = control_space(read.controls)
+    before = space.encode(read.controls)
     progress(0.3, "warping")
     insertions = [_insertion(spec, each, read, space, before) for each in placements]
     keep = math.inf if spec.outside == "exact" else PUBLISHED_KEEP
@@ -87,7 +87,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     high = np.max([ranges[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
     np.clip(after[:, :count], low, high, out=after[:, :count])
     # Unchanged frames keep their controls, as rotations change by rounding when converted.
-    warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
+    warped = _replace_changed(read.controls, space.decode(after), after != before)
     progress(0.6, "writing")
     header = replace(reader.header, name=animation_name(rig), combinations=rig.combinations)
     figures = _figures_outside(spec, reader, placements)
@@ -152,20 +152,20 @@ def _figures_outside(
     )
 
 
-def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
+def _placements(spec: WarpSpec, read: ControlClip) -> list[_Placement]:
     matches = read_matches(spec.matches)
     if not matches:
         raise InputError(
             f"{spec.matches}: holds no active match; find sequences again or activate one"
         )
-    first, last = read.clip.first_frame, read.clip.last_frame
+    first, last = read.first_frame, read.last_frame
     sequences: dict[Path, tuple[EmotionalSequence, str]] = {}
     placed = []
     for match in sorted(matches, key=lambda each: each.first_frame):
         if match.sequence not in sequences:
             sequences[match.sequence] = read_sequence_at(match.sequence, read.rate)
         sequence, note = sequences[match.sequence]
-        _check_controls(match, sequence, read.clip.controls, spec.performance)
+        _check_controls(match, sequence, read.controls, spec.performance)
         found = match.last_frame - match.first_frame + 1
         count = len(sequence.target) if spec.timing == "own" else found
         where = f"{match.sequence.name} at frame {match.first_frame}"
@@ -236,14 +236,14 @@ def _check_controls(
 
 
 def _insertion(
-    spec: WarpSpec, each: _Placement, read: ReadControls, space: ControlSpace, before: FloatArray
+    spec: WarpSpec, each: _Placement, read: ControlClip, space: ControlSpace, before: FloatArray
 ) -> Insertion:
     """Return a sequence as keys of the performance's controls.
 
     Controls that the sequence lacks keep the performance's values.
     """
     target = each.sequence.target
-    start = each.first_frame - read.clip.first_frame
+    start = each.first_frame - read.first_frame
     rows = slice(start, start + each.frame_count)
     sequence_space = ControlSpace(
         target.shapes,
@@ -303,7 +303,7 @@ def _draw(
     space: ControlSpace,
     before: FloatArray,
     after: FloatArray,
-    read: ReadControls,
+    read: ControlClip,
     provenance: Provenance,
 ) -> None:
     labels = ", ".join(dict.fromkeys(each.sequence.label for each in placements))
@@ -315,10 +315,8 @@ def _draw(
             f"weight {spec.weight:g}, blend {spec.blend}",
         ),
         before_and_after(space.names, before, after),
-        first_frame=read.clip.first_frame,
-        windows=windows_around(
-            spans, first_frame=read.clip.first_frame, last_frame=read.clip.last_frame
-        ),
+        first_frame=read.first_frame,
+        windows=windows_around(spans, first_frame=read.first_frame, last_frame=read.last_frame),
         spans=spans,
     )
     write_image(path, picture, metadata=provenance.metadata)

@@ -118,7 +118,9 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
 
 def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
     """Return the frames from a blocked sample to the next that is not."""
-    times = attribute.GetTimeSamples() if attribute is not None else []
+    if attribute is None:
+        return np.zeros(len(frames), dtype=bool)
+    times = attribute.GetTimeSamples()
     blocks = np.array([attribute.Get(time) is None for time in times])
     if not blocks.any():
         return np.zeros(len(frames), dtype=bool)

@@ -1,9 +1,8 @@
 """Control vectors in USD: a SkelAnimation's weights and joints, and attributes, by name."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -164,21 +163,10 @@ NAMES = "face:controls:attributes"
 """Of an animation: the attributes that are driven with it, as ``PRIM.ATTRIBUTE``."""
 
 
-@dataclass(frozen=True)
-class ReadControls:
-    """Controls of a file."""
-
-    clip: ControlClip
-    rate: Fraction
-    """Frames per second."""
-    timecode_start: str
-    """SMPTE timecode of the first frame, empty if unknown."""
-
-
 @refusing_wrong_types
 def read_control_clip(
     path: Path, *, attributes: Sequence[str] | None = None, frames: tuple[int, int] | None = None
-) -> ReadControls:
+) -> ControlClip:
     """Read the control vectors of the face in a USD file.
 
     Parameters
@@ -203,7 +191,7 @@ def read_control_clip(
     if reader.edits:
         edited = reader.edited(first, last).astype(np.float64)
         controls = replace(controls, weights=edited)
-    return ReadControls(ControlClip(controls, first), reader.rate, reader.timecode_start)
+    return ControlClip(controls, first, reader.rate, reader.timecode_start)
 
 
 def attribute_names(animation: Usd.Prim) -> tuple[str, ...]:

@@ -110,7 +110,9 @@ class RigMotion(PointMotion):
         skeleton = query.GetPrim().GetPath().MakeRelativePath(self._rest.root)
         order = list(map(str, query.GetJointOrder()))
         mesh_joints = list(map(str, target.GetJointOrder() or order))
-        driven, skeleton_moves = self._driven_joints(), self._posed.moves(skeleton)
+        driven, skeleton_moves = list[str](), self._posed.moves(skeleton)
+        if self._animation.GetRotationsAttr().GetNumTimeSamples():
+            driven = list(map(str, self._animation.GetJointsAttr().Get() or ()))
         moving = [
             (index, joint)
             for index, joint in enumerate(mesh_joints)
@@ -125,12 +127,6 @@ class RigMotion(PointMotion):
             points = np.flatnonzero(share)
             if len(points):
                 yield (skeleton, order.index(joint)), points, share[points]
-
-    def _driven_joints(self) -> list[str]:
-        """Return the joints that the performance animates, without their descendants."""
-        if not self._animation.GetRotationsAttr().GetNumTimeSamples():
-            return []
-        return list(map(str, self._animation.GetJointsAttr().Get() or ()))
 
 
 def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
