@@ -106,7 +106,7 @@ def _settle_layout(
         )
     block = words[8] or parameters.unsigned("POINT:DATA_START") or 0
     data_start = (block - 1) * BLOCK_BYTES
-    frame = _settle_frame(
+    frame = _settle_frame_layout(
         notes, parameters, words, size - data_start, scale, float(header_floats[3])
     )
     points, channels, per_frame, scale = frame
@@ -117,7 +117,7 @@ def _settle_layout(
             f"{channels} analog channels per frame: nothing can be read; {_REPAIR}"
         )
     capacity = (size - data_start) // stride
-    first_frame, frame_count = _settle_frames(
+    first_frame, frame_count = _settle_frame_range(
         notes, parameters, words[3], words[4], capacity, padding=(BLOCK_BYTES - 1) // stride
     )
     if frame_count > capacity:
@@ -164,7 +164,7 @@ def _stride(frame: _Frame) -> int:
     return items * (4 if frame.scale < 0 else 2)
 
 
-def _settle_frame(
+def _settle_frame_layout(
     notes: list[str],
     parameters: Parameters,
     words: list[int],
@@ -273,7 +273,7 @@ def _analog_readings(
     return list(dict.fromkeys(readings))
 
 
-def _settle_frames(
+def _settle_frame_range(
     notes: list[str], parameters: Parameters, first: int, last: int, capacity: int, *, padding: int
 ) -> tuple[int, int]:
     """Return the number of the first frame and the frame count.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
 
@@ -224,29 +224,22 @@ def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float
 ARRAYS = "face:array:"
 """Namespace of arrays; an array's shape has its name and ``:shape``."""
 
-_ARRAY_KINDS = {
-    "float32": (Sdf.ValueTypeNames.FloatArray, Vt.FloatArray),
-    "bool": (Sdf.ValueTypeNames.BoolArray, Vt.BoolArray),
-}
-
 
 def author_arrays(
     prim: Sdf.PrimSpec,
-    arrays: Mapping[str, FloatArray | Float32Array | BoolArray],
+    arrays: Mapping[str, FloatArray | Float32Array],
     *,
     namespace: str = ARRAYS,
 ) -> None:
-    """Write arrays by name, without loss; any but single precision and bool as double."""
+    """Write arrays by name, without loss; any but single precision as double."""
+    kinds = Sdf.ValueTypeNames
     for name, array in arrays.items():
-        flat, known = np.ravel(array), _ARRAY_KINDS.get(array.dtype.name)
-        kind, values = (
-            (Sdf.ValueTypeNames.DoubleArray, doubles(flat))
-            if known is None
-            else (known[0], known[1].FromNumpy(np.ascontiguousarray(flat)))
-        )
+        kind, values = kinds.DoubleArray, doubles(array)
+        if array.dtype == np.float32:
+            kind, values = kinds.FloatArray, Vt.FloatArray.FromNumpy(np.ravel(array))
         author_uniform(prim, f"{namespace}{name}", kind, values)
         shape = Vt.IntArray([int(size) for size in array.shape])
-        author_uniform(prim, f"{namespace}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
+        author_uniform(prim, f"{namespace}{name}:shape", kinds.IntArray, shape)
 
 
 def read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,7 +44,11 @@ class Camera:
 
     def axes(self) -> FloatArray:
         """Return the rows right, up and backward (from the target to the eye), orthonormal."""
-        return _axes(self.eye, self.target, self.up)
+        backward = np.subtract(self.eye, self.target)
+        backward = backward / np.linalg.norm(backward)
+        right = np.cross(self.up, backward)
+        right = right / np.linalg.norm(right)
+        return np.stack([right, np.cross(backward, right), backward])
 
     def directions(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
         """Return unit directions of the rays through picture positions: (n, 3) float32.
@@ -199,17 +202,6 @@ def _face_mask(count: int, weights: ArrayLike | None) -> BoolArray:
     if not np.any(reach > 0):
         return np.ones(count, bool)
     return np.asarray(reach > FACE_REACH * reach.max())
-
-
-@lru_cache(maxsize=8)
-def _axes(eye: tuple[float, ...], target: tuple[float, ...], up: tuple[float, ...]) -> FloatArray:
-    backward = np.subtract(eye, target)
-    backward = backward / np.linalg.norm(backward)
-    right = np.cross(up, backward)
-    right = right / np.linalg.norm(right)
-    axes = np.stack([right, np.cross(backward, right), backward])
-    axes.flags.writeable = False  # shared by all callers
-    return axes
 
 
 def triple(vector: FloatArray) -> tuple[float, float, float]:

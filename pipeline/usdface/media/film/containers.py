@@ -1,5 +1,7 @@
 """Safe opening of movie and sound files."""
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +39,9 @@ def open_media(path: Path) -> Any:
         "format_whitelist": _FORMATS,
         "max_pixels": str(MAX_PIXELS),  # FFmpeg decodes pictures when it opens a file
     }
-    try:
+    with decoding(path):
         # Absolute, so that a name is not parsed as a protocol.
         return av.open(str(path.absolute()), options=options, **_LENIENT)
-    except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise unreadable(path, error) from error
 
 
 def metadata_of(holder: Any) -> dict[str, str]:
@@ -50,6 +50,15 @@ def metadata_of(holder: Any) -> dict[str, str]:
         str(key).lower(): str(value).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
         for key, value in holder.metadata.items()
     }
+
+
+@contextlib.contextmanager
+def decoding(path: Path, *, where: str = "") -> Iterator[None]:
+    """Raise errors of FFmpeg in the block as `unreadable`."""
+    try:
+        yield
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise unreadable(path, error, where=where) from error
 
 
 def unreadable(path: Path, error: Exception, *, where: str = "") -> InputError:

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import av
-import av.error
 import numpy as np
 
 from usdface.core.arrays import Float32Array
 from usdface.core.errors import InputError
-from usdface.media.film.containers import open_media, start_seconds, unreadable
+from usdface.media.film.containers import decoding, open_media, start_seconds
 
 MAX_HOURS = 4
 _MAX_GAP = 0.02  # gap in the time stamps above which silence is inserted [s]
@@ -37,10 +36,8 @@ def read_audio(path: Path, *, rate: int = 16000) -> Float32Array:
     """
     with open_media(path) as container:
         stream = _sound_stream(path, container)
-        try:
+        with decoding(path):
             blocks = list(_blocks(path, container, stream, rate))
-        except (av.error.FFmpegError, OSError, ValueError) as error:
-            raise unreadable(path, error) from error
     if not blocks:
         raise InputError(f"{path}: its sound is empty; record or export it again")
     samples = np.concatenate(blocks)

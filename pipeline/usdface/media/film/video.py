@@ -11,8 +11,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
-import av.error
 import numpy as np
 
 from usdface.core.arrays import ByteImage, IntArray
@@ -20,10 +18,10 @@ from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.media.film.containers import (
     MAX_PIXELS,
+    decoding,
     metadata_of,
     open_media,
     start_seconds,
-    unreadable,
 )
 from usdface.media.film.image_sequence import PICTURE_SUFFIXES, ImageSequence
 from usdface.media.film.timed_frames import OpenVideo
@@ -109,32 +107,28 @@ class VideoReader(OpenVideo):
             raise InputError(f"{self.path}: has {len(self.times)} frames, there is no {index}")
         if self._shown is None or self._shown[0] != index:
             seconds = float(self.times[index])
-            decoded = self._decode(int(self._index.stamps[index]), seconds)
-            try:
+            with decoding(self.path, where=f" at {seconds:.3f} s"):
+                decoded = self._decode(int(self._index.stamps[index]), seconds)
                 self._shown = (index, _upright(decoded, self._stream.sample_aspect_ratio))
-            except (av.error.FFmpegError, OSError, ValueError) as error:
-                raise unreadable(self.path, error, where=f" at {seconds:.3f} s") from error
         return self._shown[1]
 
     def _decode(self, stamp: int, seconds: float) -> Any:
         """Decode the frame with a time stamp, from the key frame before it or the last position."""
         keys = self._index.keys
         key = int(keys[max(int(np.searchsorted(keys, stamp, side="right")) - 1, 0)])
-        try:
-            if self._decoded is None or not self._is_ahead(key, stamp):
-                self._container.seek(key, stream=self._stream, backward=True)
-                self._decoded = self._container.decode(self._stream)
-            for frame in self._decoded:
-                shown = frame.pts if frame.pts is not None else frame.dts
-                self._position = shown
-                if shown is not None and shown >= stamp:
-                    if shown == stamp:
-                        return frame
-                    break
-        except (av.error.FFmpegError, OSError, ValueError) as error:
-            self._decoded = None
-            raise unreadable(self.path, error, where=f" at {seconds:.3f} s") from error
-        self._decoded = None
+        frames = self._decoded
+        if frames is None or not self._is_ahead(key, stamp):
+            self._container.seek(key, stream=self._stream, backward=True)
+            frames = self._container.decode(self._stream)
+        self._decoded = None  # after an error, decoding begins at a key frame
+        for frame in frames:
+            shown = frame.pts if frame.pts is not None else frame.dts
+            self._position = shown
+            if shown is not None and shown >= stamp:
+                if shown == stamp:
+                    self._decoded = frames
+                    return frame
+                break
         raise InputError(
             f"{self.path}: the frame at {seconds:.3f} s cannot be decoded; the file may be damaged "
             "there: copy or export it again"
@@ -178,7 +172,7 @@ def _read_index(container: Any, stream: Any, path: Path) -> _Index:
     stamps, keys = list[int](), list[int]()
     count = 0
     last = (-1, 0)
-    try:
+    with decoding(path):
         for packet in container.demux(stream):
             stamp = packet.pts if packet.pts is not None else packet.dts
             if stamp is None or not packet.size:
@@ -191,8 +185,6 @@ def _read_index(container: Any, stream: Any, path: Path) -> _Index:
             if not packet.is_discard:
                 stamps.append(stamp)
                 last = max(last, (stamp, packet.duration or 0))
-    except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise unreadable(path, error) from error
     if not stamps or not keys:
         raise InputError(f"{path}: not one whole frame is in the file; copy or export it again")
     if count < stream.frames * (1 - _MISSING_SHARE):
