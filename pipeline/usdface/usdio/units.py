@@ -24,7 +24,7 @@ def stage_to_ours(stage: Usd.Stage) -> FloatArray:
     """Return the (3, 3) matrix from a stage's column vectors to millimetres, Y up."""
     is_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     rotation = Z_UP_TO_Y_UP if is_z_up else np.eye(3)
-    return millimetres(stage) * rotation
+    return millimetres_per_unit(stage) * rotation
 
 
 def column_matrix(matrix: Gf.Matrix4d) -> FloatArray:
@@ -58,7 +58,7 @@ def transform_points(matrix: FloatArray, points: ArrayLike) -> FloatArray:
     return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3], dtype=np.float64)
 
 
-def millimetres(stage: Usd.Stage) -> float:
+def millimetres_per_unit(stage: Usd.Stage) -> float:
     """Return the length of a stage's unit [mm]."""
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not _SMALLEST_UNIT_M <= metres <= _LARGEST_UNIT_M:  # also catches NaN

@@ -26,20 +26,15 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
     names = names_in(animation.GetBlendShapesAttr())
     attribute = animation.GetBlendShapeWeightsAttr()
     path = str(attribute.GetPath())
-    authored = bool(attribute) and attribute.HasAuthoredValue()
-    if names and not authored:
-        return [
-            Fault.error(
-                path,
-                f"{len(names)} shapes are named and there is no weight; map again, or take the "
-                "names out",
-            )
-        ]
-    if authored and not names:
+    if not (attribute and attribute.HasAuthoredValue()):
+        message = (
+            f"{len(names)} shapes are named and there is no weight; map again, or take the names "
+            "out"
+        )
+        return [Fault.error(path, message)] if names else []
+    if not names:
         message = "weights without blendShapes, so nobody knows whose they are; name the shapes"
         return [Fault.error(path, message)]
-    if not authored:
-        return []
     query = Usd.AttributeQuery(attribute)
     for time in attribute.GetTimeSamples():
         fault = _fault(names, np.asarray(query.Get(time)))

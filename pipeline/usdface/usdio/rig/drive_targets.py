@@ -68,13 +68,13 @@ def find_drive_target(rig: Rig, part: str, name: str) -> DriveTarget:
 def skeleton_with(stage: Usd.Stage, rig: Rig, joint: str) -> UsdSkel.Skeleton:
     """Return the first skeleton of a rig that has a joint."""
     skeletons = map(UsdSkel.Skeleton, skeletons_of(stage.GetPrimAtPath(rig.prim)))
-    return next(each for each in skeletons if joint in (each.GetJointsAttr().Get() or ()))
+    return next(each for each in skeletons if joint in names_in(each.GetJointsAttr()))
 
 
 def _joints(stage: Usd.Stage, rig: Rig) -> list[str]:
     skeletons = skeletons_of(stage.GetPrimAtPath(rig.prim))
-    of_each = (UsdSkel.Skeleton(each).GetJointsAttr().Get() or () for each in skeletons)
-    return list(dict.fromkeys(str(joint) for joints in of_each for joint in joints))
+    of_each = (names_in(UsdSkel.Skeleton(each).GetJointsAttr()) for each in skeletons)
+    return list(dict.fromkeys(joint for joints in of_each for joint in joints))
 
 
 def _xforms(stage: Usd.Stage, rig: Rig) -> list[str]:

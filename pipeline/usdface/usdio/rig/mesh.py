@@ -2,7 +2,6 @@
 
 import hashlib
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -69,25 +68,21 @@ class RestPose:
     """The skeletons of a SkelRoot at rest; meshes without one have only their transforms."""
 
     def __init__(self, root: UsdSkel.Root, ours: FloatArray) -> None:
-        self._root = root
         self._ours = ours
-        self._transforms: UsdGeom.XformCache | None = None
-
-    @cached_property
-    def _bindings(self) -> dict[str, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]]:
-        return skel_bindings(UsdSkel.Cache(), self._root) if self._root else {}
+        self._bindings = skel_bindings(UsdSkel.Cache(), root) if root else {}
+        self._transforms = rest_transforms(root.GetPrim()) if root else None
 
     def place(self, prim: Usd.Prim, local: FloatArray) -> PlacedMesh:
         """Return the points of a mesh skinned at rest, as in UsdSkel."""
-        self._transforms = self._transforms or rest_transforms(prim)
+        transforms = self._transforms or rest_transforms(prim)
         query, target = self._bindings.get(str(prim.GetPath()), (None, None))
         if query and target and target.HasJointInfluences():
             skinned = _skin_at_rest(query, target, local)
             if skinned is not None:
-                world = column_matrix(self._transforms.GetLocalToWorldTransform(query.GetPrim()))
+                world = column_matrix(transforms.GetLocalToWorldTransform(query.GetPrim()))
                 linear = self._ours @ world[:3, :3] @ skinned.linear
                 return PlacedMesh(transform_points(world, skinned.points) @ self._ours.T, linear)
-        world = column_matrix(self._transforms.GetLocalToWorldTransform(prim))
+        world = column_matrix(transforms.GetLocalToWorldTransform(prim))
         return PlacedMesh(transform_points(world, local) @ self._ours.T, self._ours @ world[:3, :3])
 
 
@@ -102,25 +97,17 @@ def _skin_at_rest(
     # In the skeleton's order; `ComputeSkinnedPoints` maps them to the mesh's own ``skel:joints``.
     skinning = Vt.Matrix4dArray([b.GetInverse() * r for b, r in zip(bind, rest, strict=True)])
 
-    def skin(points: FloatArray) -> FloatArray | None:
-        moved = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
-        if not target.ComputeSkinnedPoints(skinning, moved, Usd.TimeCode.Default()):
-            return None
-        return np.array(moved, dtype=np.float64)
-
-    placed = skin(local)
-    if placed is None:
-        return None
     # Linear blend skinning is affine in each point: its linear part has as columns the differences
     # of a unit step along each axis. Steps of the mesh's size reduce rounding in float32.
     size = max(float(np.ptp(local, axis=0).max()), 1e-6) if len(local) else 1.0
-    columns = []
-    for axis in np.eye(3):
-        stepped = skin(local + size * axis)
-        if stepped is None:
+    skinned = []
+    for step in (np.zeros(3), *(size * np.eye(3))):
+        moved = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(local + step, dtype=np.float32))
+        if not target.ComputeSkinnedPoints(skinning, moved, Usd.TimeCode.Default()):
             return None
-        columns.append((stepped - placed) / size)
-    linear = np.stack(columns, axis=-1)
+        skinned.append(np.array(moved, dtype=np.float64))
+    placed, *stepped = skinned
+    linear = np.stack([(each - placed) / size for each in stepped], axis=-1)
     if len(linear) and np.allclose(linear, linear[0], atol=1e-6):
         exact = np.round(linear.mean(axis=0), 6)
         if np.array_equal(exact, np.eye(3)):

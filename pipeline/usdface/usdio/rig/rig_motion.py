@@ -14,7 +14,7 @@ from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig, point_slices
-from usdface.usdio.authoring import top_path
+from usdface.usdio.authoring import names_in, top_path
 from usdface.usdio.layers import refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.mesh import skel_bindings
@@ -110,9 +110,9 @@ class RigMotion(PointMotion):
         skeleton = query.GetPrim().GetPath().MakeRelativePath(self._rest.root)
         order = list(map(str, query.GetJointOrder()))
         mesh_joints = list(map(str, target.GetJointOrder() or order))
-        driven, skeleton_moves = list[str](), self._posed.moves(skeleton)
-        if self._animation.GetRotationsAttr().GetNumTimeSamples():
-            driven = list(map(str, self._animation.GetJointsAttr().Get() or ()))
+        skeleton_moves = self._posed.moves(skeleton)
+        animated = self._animation.GetRotationsAttr().GetNumTimeSamples() > 0
+        driven = names_in(self._animation.GetJointsAttr()) if animated else ()
         moving = [
             (index, joint)
             for index, joint in enumerate(mesh_joints)

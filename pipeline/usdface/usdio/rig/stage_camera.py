@@ -16,7 +16,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.authoring import prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
-from usdface.usdio.units import column_matrix, millimetres, rest_transforms, stage_to_ours
+from usdface.usdio.units import column_matrix, millimetres_per_unit, rest_transforms, stage_to_ours
 
 _UNITS_PER_TENTH = 0.1  # apertures and focal lengths count tenths of a scene unit
 
@@ -71,7 +71,7 @@ class StageCamera:
         # USD does not convert the units of a referenced character.
         unit = rig if self.holds_character else self._stage
         self._ours = stage_to_ours(unit)
-        self._millimetres = millimetres(unit)
+        self._millimetres_per_unit = millimetres_per_unit(unit)
         self._home = rest_transforms(home).GetLocalToWorldTransform(home)
 
     @refusing_wrong_types
@@ -101,7 +101,7 @@ class StageCamera:
                 2 * camera.horizontalApertureOffset / high,
                 2 * camera.verticalApertureOffset / high,
             ),
-            span_mm=_UNITS_PER_TENTH * high * scale * self._millimetres if flat else None,
+            span_mm=_UNITS_PER_TENTH * high * scale * self._millimetres_per_unit if flat else None,
             aspect=float(wide / high),
         )
 
