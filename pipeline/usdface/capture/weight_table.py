@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -107,38 +108,42 @@ def _times(
     path: Path, samples: WeightSamples, rate: float | None, notes: list[str]
 ) -> tuple[int, SampleTimes]:
     """Return the first frame number, and the frames of the rows."""
+    where, seconds = str(path), samples.seconds
     stated = samples.rate if rate is None else exact_rate(rate, where="--rate")
-    where, source = str(path), "--rate" if rate is not None else "the file"
-    if rate is None and samples.frames is None and samples.seconds is not None and samples.rate:
-        step = float(np.median(np.diff(samples.seconds))) if len(samples.seconds) > 1 else 0.0
-        if step > 0 and not 1 / _OTHER_RATE < step * float(samples.rate) < _OTHER_RATE:
-            notes.append(
-                f"the file states {float(samples.rate):g} frames per second, and its times "
-                f"{1 / step:.4g}: the times are followed"
-            )
-            stated = None
-    if samples.frames is None and samples.seconds is not None and stated is None:
-        return 1, resolve_device_times(samples.seconds, samples.lines, where=f"{path} times")
-    if samples.frames is None:
-        first, frames = 1, np.arange(len(samples.values), dtype=np.int64)
-        if samples.seconds is not None and stated is not None:
-            frames = np.rint((samples.seconds - samples.seconds[0]) * float(stated)).astype(int)
-            first, frames = resolve_frame_numbers(
-                frames.astype(float) + 1, samples.lines, where=where
-            )
-    else:
+    if samples.frames is not None:
         first, frames = resolve_frame_numbers(samples.frames, samples.lines, where=where)
-    if samples.seconds is not None and stated is not None:
-        check_rate(stated, source, samples.seconds, frames, where=where)
+    elif seconds is None:
+        first, frames = 1, np.arange(len(samples.values), dtype=np.int64)
+    else:
+        if stated is not None and rate is None and _differs(stated, seconds, notes):
+            stated = None
+        if stated is None:
+            return 1, resolve_device_times(seconds, samples.lines, where=f"{path} times")
+        numbers = np.rint((seconds - seconds[0]) * float(stated)) + 1.0
+        first, frames = resolve_frame_numbers(numbers, samples.lines, where=where)
+    if seconds is None and stated is None:
+        raise InputError(
+            f"{path}: has no column of times and states no rate; give the frames per second "
+            "with --rate, or give a take, ingested with it, if this command has no such option"
+        )
     if stated is None:
-        if samples.seconds is None:
-            raise InputError(
-                f"{path}: has no column of times and states no rate; give the frames per second "
-                "with --rate, or give a take, ingested with it, if this command has no such option"
-            )
-        stated = rate_of_times(samples.seconds, frames, where=where)
-    elif samples.seconds is None and rate is not None:
+        stated = rate_of_times(cast(FloatArray, seconds), frames, where=where)
+    elif seconds is not None:
+        check_rate(stated, "the file" if rate is None else "--rate", seconds, frames, where=where)
+    elif rate is not None:
         other = samples.rate not in (None, stated)
         instead = f"; the file says {float(samples.rate or 0):g}" if other else ""
         notes.append(f"{float(stated):g} frames per second, as stated{instead}")
     return first, SampleTimes(stated, frames.astype(np.float64), even=True)
+
+
+def _differs(stated: Fraction, seconds: FloatArray, notes: list[str]) -> bool:
+    """Return whether the times of rows contradict the rate that the file states, and note it."""
+    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    if not step > 0 or 1 / _OTHER_RATE < step * float(stated) < _OTHER_RATE:
+        return False
+    notes.append(
+        f"the file states {float(stated):g} frames per second, and its times {1 / step:.4g}: the "
+        "times are followed"
+    )
+    return True

@@ -159,8 +159,7 @@ class _ClipsWriter(PointsWriter):
         last = min(frame + self._clip_frames, self._header.last_frame)
         layer = self._open.enter_context(new_layer(path))
         part = replace(self._header, first_frame=frame, last_frame=last)
-        _author_header(layer, self._face, self._place, part)
-        _declare(layer, self._face, self._place, self._format)
+        _declare(layer, self._face, self._place, part, self._format)
         self._layer, self._unsaved = layer, 0
         self.files.append(path)
         self.starts.append(frame)
@@ -235,8 +234,7 @@ def _writing_samples(
     frames = header.last_frame - header.first_frame + 1
     clip_frames = max(format_.clip_bytes // _frame_bytes(face, format_), 1)
     with new_layer(points_file, provenance) as layer:
-        _author_header(layer, face, at, header)
-        _declare(layer, face, at, format_)
+        _declare(layer, face, at, header, format_)
         prim = layer.GetPrimAtPath(at)
         apply_api(prim, "FaceDeformAPI")
         author_uniform(prim, "face:deform:method", Sdf.ValueTypeNames.Token, header.method)
@@ -261,8 +259,7 @@ def _writing_samples(
                 raise
             manifest = stem.with_name(f"{stem.name}.manifest.usda")
             with new_layer(manifest) as declared:
-                _author_header(declared, face, at, header)
-                _declare(declared, face, at, format_)
+                _declare(declared, face, at, header, format_)
             author_clips(
                 prim,
                 "default",
@@ -301,11 +298,14 @@ def _author_header(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, header: Point
     author_units(layer, like=face.file)
 
 
-def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsFormat) -> None:
-    """Write an over of the mesh with its animated attributes, without default values.
+def _declare(
+    layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, header: PointsHeader, format_: PointsFormat
+) -> None:
+    """Write a header, and an over of the mesh with its animated attributes.
 
-    Defaults would be stronger than the samples of a clip.
+    Without default values, which would be stronger than the samples of a clip.
     """
+    _author_header(layer, face, at, header)
     prim = Sdf.CreatePrimInLayer(layer, at)
     kinds = Sdf.ValueTypeNames
     Sdf.AttributeSpec(prim, "points", kinds.Point3fArray)

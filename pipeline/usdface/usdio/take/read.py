@@ -49,10 +49,9 @@ class TakeReader:
         )
         start, end = self._stage.GetStartTimeCode(), self._stage.GetEndTimeCode()
         self._ours = stage_to_ours(self._stage)
-        self._prims = {
-            place.name: self._stage.GetPrimAtPath(root.GetPath().AppendChild(place.name))
-            for place in (MARKERS, HEAD_MOTION, SOURCE, AUDIO)
-        }
+        self._markers, self._head_motion, self._source, self._audio = (
+            root.GetChild(place.name) for place in (MARKERS, HEAD_MOTION, SOURCE, AUDIO)
+        )
         self._times: dict[str, np.ndarray] = {}
         check_frame_span(
             f"{path}: startTimeCode to endTimeCode", start, end, samples=self._samples()
@@ -61,19 +60,16 @@ class TakeReader:
 
     def _samples(self) -> int | None:
         """Return the largest number of samples of what is read by frames; None without any."""
-        markers, head, source = (
-            self._prims[place.name] for place in (MARKERS, HEAD_MOTION, SOURCE)
-        )
         counts = []
-        if markers:
-            counts.append(UsdGeom.Points(markers).GetPointsAttr().GetNumTimeSamples())
-        if head:
-            operations = UsdGeom.Xformable(head).GetOrderedXformOps()
+        if self._markers:
+            counts.append(UsdGeom.Points(self._markers).GetPointsAttr().GetNumTimeSamples())
+        if self._head_motion:
+            operations = UsdGeom.Xformable(self._head_motion).GetOrderedXformOps()
             counts += [operation.GetNumTimeSamples() for operation in operations]
-        if source:
-            weights = UsdSkel.Animation(source).GetBlendShapeWeightsAttr()
+        if self._source:
+            weights = UsdSkel.Animation(self._source).GetBlendShapeWeightsAttr()
             counts.append(weights.GetNumTimeSamples())
-        return max(counts) if counts else None
+        return max(counts, default=None)
 
     @property
     def name(self) -> str:
@@ -93,14 +89,14 @@ class TakeReader:
     @functools.cached_property
     def neutral_frame(self) -> int:
         """Frame number of the neutral face, by default the first frame."""
-        prim = self._prims[MARKERS.name]
+        prim = self._markers
         frame = value_of(prim, "face:markers:neutralFrame") if prim else None
         return self.first_frame if frame is None else int(frame)
 
     @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
         """Names of the markers; empty without markers."""
-        prim = self._prims[MARKERS.name]
+        prim = self._markers
         return names_in(prim.GetAttribute("face:markers:names")) if prim else ()
 
     def timecode_at(self, frame: int) -> str:
@@ -154,7 +150,7 @@ class TakeReader:
     @refusing_wrong_types
     def read_markers_at(self, frames: Sequence[int]) -> Markers | None:
         """Read the markers of some frames, in ascending order."""
-        prim = self._prims[MARKERS.name]
+        prim = self._markers
         if not prim:
             return None
         names = self.marker_names
@@ -234,17 +230,16 @@ class TakeReader:
     @refusing_wrong_types
     def read_source(self, frames: range) -> WeightsClip | None:
         """Return the channels of the capture at some frames; None without any."""
-        prim = self._prims[SOURCE.name]
-        if not prim:
+        if not self._source:
             return None
-        animation = UsdSkel.Animation(prim)
+        animation = UsdSkel.Animation(self._source)
         names = names_in(animation.GetBlendShapesAttr())
         weights = animation.GetBlendShapeWeightsAttr()
         remedy = "ingest the capture again"
         values = read_array_samples(
             self.path, weights, frames, names, kind=np.float32, remedy=remedy
         )
-        return WeightsClip(names, values, frames[0], self.rate, read_gaps(prim))
+        return WeightsClip(names, values, frames[0], self.rate, read_gaps(self._source))
 
     @refusing_wrong_types
     def head_motion_from_neutral(self, first: int, last: int) -> np.ndarray | None:
@@ -260,10 +255,9 @@ class TakeReader:
         return np.asarray(np.linalg.inv(neutral[0]) @ motion)
 
     def _read_head_motion(self, frames: range) -> np.ndarray | None:
-        prim = self._prims[HEAD_MOTION.name]
-        if not prim:
+        if not self._head_motion:
             return None
-        transform = UsdGeom.Xformable(prim)
+        transform = UsdGeom.Xformable(self._head_motion)
         motion = np.array(
             [column_matrix(transform.GetLocalTransformation(frame)) for frame in frames]
         )
@@ -304,8 +298,7 @@ class TakeReader:
         )
 
     def _read_audio(self) -> Path | None:
-        prim = self._prims[AUDIO.name]
-        asset = value_of(prim, "filePath") if prim else None
+        asset = value_of(self._audio, "filePath") if self._audio else None
         return None if asset is None else self._resolve(asset)
 
     def _resolve(self, asset: object) -> Path:
