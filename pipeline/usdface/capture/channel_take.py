@@ -116,7 +116,9 @@ def with_stated_rate(capture: Capture, rate: float, *, where: object) -> Capture
 def fill_frames(
     values: FloatArray, frames: FloatArray, seen: BoolArray | None = None
 ) -> Float32Array:
-    """Return one row per whole frame between the first and the last sample, by interpolation.
+    """Return one row per whole frame between the first and the last sample: (frames, channels).
+
+    Linear between samples; a sample at a whole frame is unchanged.
 
     Parameters
     ----------
@@ -125,11 +127,6 @@ def fill_frames(
         Frame of each sample, ascending.
     seen : (samples,) bool array, optional
         Samples to use.
-
-    Returns
-    -------
-    (frames, channels) float32 array
-        Linear between samples; a sample at a whole frame is unchanged.
     """
     grid = np.arange(np.ceil(frames[0]), np.floor(frames[-1]) + 1)
     filled = np.empty((len(grid), values.shape[1]), np.float32)

@@ -92,15 +92,7 @@ def check_model(path: Path) -> str:
 class FaceLandmarker:
     """The loaded model, a context manager.
 
-    Parameters
-    ----------
-    model : Path
-        Checked by `check_model`.
-
-    Attributes
-    ----------
-    score_names : tuple of str
-        ARKit's names of the scored shapes; empty until a face has been found.
+    `model`: checked by `check_model`.
     """
 
     def __init__(self, model: Path) -> None:
@@ -121,6 +113,7 @@ class FaceLandmarker:
         )
         self._mediapipe = mediapipe
         self.score_names: tuple[str, ...] = ()
+        """ARKit's names of the scored shapes; empty until a face has been found."""
         try:
             with _without_library_log():
                 self._landmarker = vision.FaceLandmarker.create_from_options(options)

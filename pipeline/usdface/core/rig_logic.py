@@ -72,17 +72,14 @@ def order_combinations(
 ) -> tuple[Combination, ...]:
     """Check combinations against a rig, and sort them topologically: parts first.
 
+    `InputError` with all combinations of missing shapes, in cycles, or defined twice.
+
     Parameters
     ----------
     shapes : iterable of str
         All shapes of the rig, with driven ones.
     source : object
         Named in messages.
-
-    Raises
-    ------
-    InputError
-        With all combinations of missing shapes, in cycles, or defined twice.
     """
     given, known = list(combinations), set(shapes)
     faults = [fault for combination in given for fault in _faults(combination, known)]
@@ -313,16 +310,9 @@ class RigLogic:
         ]
 
     def complete(self, weights: RealArray, names: Sequence[str]) -> FloatArray:
-        """Return weights by name, followed by the combinations they drive.
+        """Return weights by name, followed by the combinations they drive: (frames, shapes).
 
-        Parameters
-        ----------
-        weights : (frames, names) float array
-            Missing shapes are 0; combinations among `names` are left out.
-
-        Returns
-        -------
-        (frames, names + combinations) float array
+        `weights`: (frames, names); missing shapes are 0, combinations among `names` are left out.
         """
         every = self.evaluate(columns_by_name(weights, names, self.shapes))
         free = [column for column, name in enumerate(names) if name not in self.driven]

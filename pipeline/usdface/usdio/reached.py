@@ -25,18 +25,10 @@ _Variables = dict[str, Any]
 
 
 def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
-    """Check a layer and all layers of its composition, before USD opens them.
+    """Check and return all layers of a composition, the given one first, before USD opens them.
 
-    Returns
-    -------
-    list of Sdf.Layer
-        With the layer first.
-
-    Raises
-    ------
-    InputError
-        With the first damaged binary layer or, under confinement, the first file outside the
-        folder.
+    `InputError` with the first damaged binary layer or, under confinement, the first file outside
+    the folder.
     """
     waiting = [(layer, dict(layer.expressionVariables))]
     reached = {layer.identifier: layer}

@@ -41,10 +41,7 @@ _CLOUD_ROOM = 1.16
 def frame_markers(positions: ArrayLike) -> MarkersFrame:
     """Return the framing of a cloud over all of its frames, except outliers.
 
-    Parameters
-    ----------
-    positions : (..., 3) array
-        [mm], without head motion.
+    `positions`: (..., 3) [mm], without head motion.
     """
     cloud = np.asarray(positions, np.float64).reshape(-1, 3)
     cloud = cloud[np.isfinite(cloud).all(axis=1)]

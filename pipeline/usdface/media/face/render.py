@@ -66,7 +66,7 @@ class FaceRenderer:
         value_range: tuple[float, float] = (0.0, 1.0),
         sculpted: FloatArray | None = None,
     ) -> ByteImage:
-        """Draw one pose.
+        """Draw one pose: (height, width, 3) uint8 array, sRGB.
 
         Parameters
         ----------
@@ -82,11 +82,6 @@ class FaceRenderer:
             Values of the ramp's first and last colour.
         sculpted : (points, 3) array, optional
             Added to the surface's unit normals, see `SculptedNormals`.
-
-        Returns
-        -------
-        (height, width, 3) uint8 array
-            sRGB.
         """
         if width * height > _MAX_PIXELS:
             raise InputError(

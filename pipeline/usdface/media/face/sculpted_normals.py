@@ -24,11 +24,6 @@ class SculptedNormals:
         Normals of subdivided meshes are ignored: the limit surface has its own.
     deformer : Deformer
         Of the same rig.
-
-    Attributes
-    ----------
-    any : bool
-        Whether any correction is not zero.
     """
 
     def __init__(self, rig: Rig, deformer: Deformer) -> None:
@@ -58,18 +53,12 @@ class SculptedNormals:
         places = np.concatenate(rows), np.concatenate(columns)
         self._keys = sparse.csr_array((np.concatenate(values), places), (row, self._rest.size))
         self.any = bool(self._keys.nnz or self._rest.any())
+        """Whether any correction is not zero."""
 
     def at(self, weights: FloatArray) -> FloatArray | None:
-        """Return the correction of unit normals at one set of weights; None if there is none.
+        """Return the correction of unit normals at weights, (shapes,); None if there is none.
 
-        Parameters
-        ----------
-        weights : (shapes,) float array
-
-        Returns
-        -------
-        (points, 3) float array or None
-            In the direction of each mesh's winding.
+        (points, 3), in the direction of each mesh's winding.
         """
         if not self.any:
             return None

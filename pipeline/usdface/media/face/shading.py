@@ -73,17 +73,9 @@ _SHINE = np.array([26.0, 420.0, 70.0, 40.0, 20.0, 1.0], np.float32)
 
 
 def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
-    """Return the light from each hit towards the camera.
+    """Return the light from each hit towards the camera: (n, 3), linear, tone-mapped to [0-1].
 
-    Parameters
-    ----------
-    plain : bool
-        Without highlights and coloured light, so that a heat map keeps its colours.
-
-    Returns
-    -------
-    (n, 3) float32 array
-        Linear light, tone-mapped to [0-1].
+    `plain`: without highlights and coloured light, so that a heat map keeps its colours.
     """
     if plain:
         return _shade_plain(hits)

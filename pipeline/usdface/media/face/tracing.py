@@ -85,7 +85,7 @@ def sky_seen(
     ray_count: int,
     reach: float,
 ) -> Float32Array:
-    """Return the unoccluded share of cosine-weighted rays from each point.
+    """Return the unoccluded share of cosine-weighted rays from each point [0-1]: (n,) float32.
 
     Parameters
     ----------
@@ -95,11 +95,6 @@ def sky_seen(
         Set of directions of each point, below `PATTERN_COUNT`.
     reach : float
         Largest distance of occluders [mm].
-
-    Returns
-    -------
-    (n,) float32 array
-        [0-1]
     """
     table = _sphere_table(ray_count)
     free = np.zeros(len(positions), np.float32)

@@ -50,7 +50,9 @@ def write_movie(
 ) -> None:
     """Encode pictures and optional sound into a movie that replaces `path` atomically.
 
-    H.264 if an encoder is available, else VP9. Pictures are padded to even sizes.
+    H.264 if an encoder is available, else VP9. Pictures are padded to even sizes. `InputError` if
+    the extension is unknown, there is no frame, sizes differ or the folder cannot be written; an
+    existing file is then unchanged.
 
     Parameters
     ----------
@@ -65,12 +67,6 @@ def write_movie(
     proxy : bool
         A third of the size, for a page: every fifteenth picture is a key frame, and a repeated
         array is not encoded again.
-
-    Raises
-    ------
-    InputError
-        If the extension is unknown, there is no frame, sizes differ or the folder cannot be
-        written. An existing file is then unchanged.
     """
     container_format = movie_format(path)
     pictures = iter(frames)

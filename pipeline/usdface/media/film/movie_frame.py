@@ -44,7 +44,7 @@ def compose_movie_frame(
     uncertainty: tuple[float, float] | None = None,
     verdict: tuple[str, ...] = (),
 ) -> ByteImage:
-    """Compose one picture.
+    """Compose one picture of size `movie_size`: (height + bar, width, 3) uint8 array, sRGB.
 
     Parameters
     ----------
@@ -59,11 +59,6 @@ def compose_movie_frame(
     verdict : tuple of str
         ``'good'``, ``'check'`` or ``'bad'``, shown as the colour of the bar's upper edge, and
         optional sentences, written over the panels.
-
-    Returns
-    -------
-    (height + bar, width, 3) uint8 array
-        sRGB, of size `movie_size`.
     """
     width, total = movie_size([panel.width for panel in panels], height)
     picture = new_picture(width, total, _BAR_COLOR)

@@ -28,6 +28,9 @@ def join_movies(
 ) -> None:
     """Write the pictures of several movies as one.
 
+    `InputError` if a part is not a movie, or parts differ in kind; an existing file is then
+    unchanged.
+
     Parameters
     ----------
     path : Path
@@ -44,11 +47,6 @@ def join_movies(
         SMPTE timecode of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
     comment : str
         Stored in the file; see `read_movie_comment`.
-
-    Raises
-    ------
-    InputError
-        If a part is not a movie, or parts differ in kind. An existing file is then unchanged.
     """
     container_format = movie_format(path)
     _check_kinds(parts)

@@ -76,6 +76,8 @@ def draw_binding(
 ) -> ByteImage:
     """Draw the front with all names that fit, and both sides with those of their outer markers.
 
+    (height, 1600, 3) uint8 array, sRGB.
+
     Parameters
     ----------
     meshes : sequence of RigMesh
@@ -85,11 +87,6 @@ def draw_binding(
     yaw_degrees : float
         Heading of the face, 0 along +Z.
     quality : {'draft', 'final'}
-
-    Returns
-    -------
-    (height, 1600, 3) uint8 array
-        sRGB.
     """
     renderer = FaceRenderer(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])

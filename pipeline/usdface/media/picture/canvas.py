@@ -103,19 +103,9 @@ _HATCH: Color = (37, 39, 44)
 def fit_picture(
     picture: ByteImage, *, width: int, height: int, color: Color = (16, 17, 19)
 ) -> ByteImage:
-    """Scale a picture to fit a box, with bars if the aspects differ.
+    """Scale a picture to fit a box of a width and height [pixels], with bars if aspects differ.
 
-    Parameters
-    ----------
-    picture : (h, w, 3) uint8 array
-    width, height : int
-        Of the box [pixels].
-    color : tuple of int
-        Of the bars.
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
+    `color`: of the bars.
     """
     if picture.shape[:2] == (height, width):
         return picture

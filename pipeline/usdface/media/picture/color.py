@@ -91,16 +91,7 @@ def heat_color(value: float, *, high: float) -> Color:
 def heat_ramp(values: ArrayLike, *, low: float = 0.0, high: float = 1.0) -> FloatArray:
     """Return colours from blue (`low`) to yellow (`high`), linear in lightness; NaN is grey.
 
-    Parameters
-    ----------
-    values : (...) array
-    low, high : float
-        Values beyond are clipped.
-
-    Returns
-    -------
-    (..., 3) float array
-        Linear light [0-1].
+    Linear light [0-1], (..., 3) for values of shape (...); those beyond the ends are clipped.
     """
     given = np.asarray(values, np.float64)
     span = max(high - low, 1e-12)

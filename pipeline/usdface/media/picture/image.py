@@ -56,6 +56,9 @@ def write_image(
 ) -> None:
     """Write a picture in the format of its extension; an existing file is replaced atomically.
 
+    `InputError` if the extension is unknown, the timecode of an EXR malformed, or the file cannot
+    be written; an existing file is then unchanged.
+
     Parameters
     ----------
     path : Path
@@ -68,12 +71,6 @@ def write_image(
         SMPTE timecode of the picture, ``HH:MM:SS:FF``; in EXR also as ``smpte:TimeCode``.
     rate : Fraction, optional
         Frames per second; in EXR also as ``FramesPerSecond``.
-
-    Raises
-    ------
-    InputError
-        If the extension is unknown, the timecode of an EXR malformed, or the file cannot be
-        written. An existing file is then unchanged.
     """
     suffix = path.suffix.lower()
     if suffix not in _IMAGE_SUFFIXES:

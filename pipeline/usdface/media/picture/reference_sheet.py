@@ -99,7 +99,7 @@ def compose_reference_sheet(
     tile: int,
     paper: bool = False,
 ) -> ByteImage:
-    """Compose the sheet.
+    """Compose the sheet: (height, width, 3) uint8 array, sRGB.
 
     Parameters
     ----------
@@ -109,11 +109,6 @@ def compose_reference_sheet(
         Height of every picture [pixels].
     paper : bool
         Dark on white.
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
-        sRGB.
     """
     palette = PAPER if paper else SCREEN
     shapes = [row.video.shape for row in rows if row.video is not None]

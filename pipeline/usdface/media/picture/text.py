@@ -80,20 +80,11 @@ def east_asian_font_file() -> Path | None:
 
 @lru_cache(maxsize=8192)
 def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Array:
-    """Return the coverage of each pixel by a label, cached.
+    """Return the coverage of each pixel by a label of one line, cached: (height, width) [0-1].
 
-    Parameters
-    ----------
-    text : str
-        One line.
-    size : int
-        Height of the font's body [pixels].
-    weight : {'regular', 'bold', 'mono'}
+    Read-only. The baseline is at row ``round(1.02 * size)``.
 
-    Returns
-    -------
-    (height, width) float32 array
-        [0-1]; read-only. The baseline is at row ``round(1.02 * size)``.
+    `size`: height of the font's body [pixels].
     """
     runs, starts = _placed_runs(text, size, weight)
     drawn = Image.new("L", (_width(starts), round(size * 1.35)))

@@ -217,7 +217,9 @@ def write_edits(
 ) -> Path:
     """Write edits into NAME.edits.usda, and make it the strongest sublayer of NAME.usda.
 
-    Edits of other shapes and prims are preserved.
+    Edits of other shapes and prims are preserved. `InputError` if a layer cannot be written, two
+    shapes have the same attribute name, a stronger layer has edits of a shape, or another process
+    changed the edits since.
 
     Parameters
     ----------
@@ -229,12 +231,6 @@ def write_edits(
         Consecutive frame numbers of the curves.
     stamp : str, optional
         `edits_stamp` before the previous edits were read.
-
-    Raises
-    ------
-    InputError
-        If a layer cannot be written, two shapes have the same attribute name, a stronger layer has
-        edits of a shape, or another process changed the edits since.
     """
     check_not_instanced(performance, animation)
     _check_one_take(performance, animation)

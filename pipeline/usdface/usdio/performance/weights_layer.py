@@ -325,14 +325,9 @@ def make_header(
     regions: tuple[str, ...] = (),
     timecode_start: str = "",
 ) -> WeightsHeader:
-    """Return the header of weights that drive a rig.
+    """Return the header of weights that drive a rig; other fields as in `WeightsHeader`.
 
-    Parameters
-    ----------
-    rig : Rig
-        Determines the name of the animation prim, and the default of `rig_path`.
-    shape_names, rate, first_frame, last_frame, rig_path, regions, timecode_start
-        As in `WeightsHeader`.
+    `rig`: determines the name of the animation prim, and the default of `rig_path`.
     """
     return WeightsHeader(
         rig_path=rig_path or str(top_path(rig.prim)),

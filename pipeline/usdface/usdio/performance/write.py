@@ -198,7 +198,7 @@ def writing_performance(
         From `make_header`; frames are appended from its first to its last.
     part_frames : int, optional
         Write the weights as parts of this many frames, played as value clips; by default one layer.
-    above : sequence of Path
+    above
         As in `writing_top`.
     """
     writing: AbstractContextManager[WeightsWriter | PartsWriter]
@@ -306,10 +306,7 @@ def write_takes(
     Variants reference the performances, and so follow their changes. The range of the layer spans
     all takes, as variants cannot change it.
 
-    Parameters
-    ----------
-    takes : mapping of str to PerformanceReader
-        Performances of one rig at one path and rate, by the name of the variant.
+    `takes`: performances of one rig at one path and rate, by the name of the variant.
     """
     first = next(iter(takes.values()))
     top = top_path(first.header.rig_path)

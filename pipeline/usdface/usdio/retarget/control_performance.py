@@ -80,17 +80,7 @@ def writing_control_performance(
     above: Sequence[Path] = (),
     provenance: Provenance | None = None,
 ) -> Iterator[ControlsWriter]:
-    """Write a performance of any controls; the files are replaced if the block succeeds.
-
-    Parameters
-    ----------
-    path : Path
-        The layer to open. Its other opinions and sublayers are preserved.
-    header : WeightsHeader
-        Of the weights, as in `writing_performance`.
-    above : sequence of Path
-        As in `writing_top`.
-    """
+    """Write a performance of any controls, as `writing_performance` does of weights."""
     controls_file, layer, authored = controls_path(path), None, list[Sdf.Path]()
     with contextlib.ExitStack() as stack:
         above = (controls_file, *above) if joints or attributes else above

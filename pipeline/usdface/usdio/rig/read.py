@@ -89,12 +89,7 @@ def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[st
     """Return each shape's channels if these are named after mesh and shape, as in Maya.
 
     That is, if every channel consists of a prefix of its mesh and the name of its BlendShape prim;
-    else nothing.
-
-    Returns
-    -------
-    dict of str to list of str
-        By the prims' names; the channel of the mesh with the most shapes first.
+    else nothing. By the prims' names; the channel of the mesh with the most shapes first.
     """
     by_mesh = []
     for mesh in meshes:

@@ -49,11 +49,6 @@ class StageCamera:
         The character.
     rate : Fraction
         Frames per second of the frame numbers; converted to the stage's rate.
-
-    Attributes
-    ----------
-    holds_character : bool
-        False if the stage has no such character, which is then assumed at its origin.
     """
 
     @refusing_wrong_types
@@ -68,6 +63,7 @@ class StageCamera:
         home = rig.GetPrimAtPath(rig_prim)
         self._root = _character(self._stage, path, home)
         self.holds_character = self._root is not None
+        """If not, the character is assumed at the stage's origin."""
         # USD does not convert the units of a referenced character.
         unit = rig if self.holds_character else self._stage
         self._ours = stage_to_ours(unit)
