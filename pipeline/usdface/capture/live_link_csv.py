@@ -124,7 +124,7 @@ def _read_rows(path: Path, lines: Iterator[TableLine], titles: list[str], delimi
             f"{path}: no row with a face after the header ({latest} without); export the recording "
             "again"
         )
-    return _Rows(rows.whole, rows.parts, rows.values, rows.lines, lost, before + latest)
+    return replace(rows, lost=lost, outside=before + latest)
 
 
 def _read_timecode(cell: str, line: TableLine) -> tuple[int, float]:

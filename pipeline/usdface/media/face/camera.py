@@ -106,13 +106,10 @@ class Camera:
 
 
 def motion_weights(meshes: Sequence[RigMesh]) -> FloatArray:
-    """Return the largest relative displacement of each point, all meshes concatenated.
+    """Return the largest relative displacement of each point, all meshes concatenated: (points,).
 
-    Returns
-    -------
-    (points,) float array
-        Maximum over the shapes of displacement / largest displacement of the shape [0-1]; 0 for
-        hair, shoulders and clothing.
+    Maximum over the shapes of displacement / largest displacement of the shape [0-1]; 0 for hair,
+    shoulders and clothing.
     """
     reach = [np.zeros(len(mesh.points)) for mesh in meshes]
     furthest: dict[str, float] = {}

@@ -322,11 +322,7 @@ def _borrow(
 ) -> tuple[Float32Array, IntArray]:
     """Copy shares of light from the pixel or a neighbour on the same surface.
 
-    Returns
-    -------
-    seen : (n, 2) float32 array
-    unknown : (m,) int array
-        Samples without such a pixel.
+    Returns the shares, (n, 2), and the samples without such a pixel.
     """
     seen = np.zeros((len(owner), 2), np.float32)
     open_rows = np.arange(len(owner))

@@ -19,20 +19,12 @@ _RATES = range(1000, 768_001)
 
 
 def read_audio(path: Path, *, rate: int = 16000) -> Float32Array:
-    """Read sound as mono samples on the clock of the file's pictures.
+    """Read the sound of a file or a movie as mono samples, on the clock of its pictures [-1 to 1].
 
-    Parameters
-    ----------
-    path : Path
-        A sound file or a movie.
-    rate : int
-        Samples per second to resample to.
+    The mean of all channels. Sample 0 is time 0 of the file: silence is inserted before sound that
+    begins later than the picture, and in gaps of the recording.
 
-    Returns
-    -------
-    (samples,) float32 array
-        [-1 to 1]; mean of all channels. Sample 0 is time 0 of the file: silence is inserted before
-        sound that begins later than the picture, and in gaps of the recording.
+    `rate`: samples per second to resample to.
     """
     with open_media(path) as container:
         stream = _sound_stream(path, container)

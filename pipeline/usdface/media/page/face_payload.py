@@ -104,6 +104,8 @@ def pack_face(
 
     The surface is that of `usdface.media.face.render`: without hidden meshes and lash cards, coarse
     cages subdivided, eyes, teeth and the inside of the mouth coloured if the rig has no colours.
+    ``header["tracks"]`` lists the keys in the order of ``Deformer(rig).shapes.key_offsets``, so
+    that markers attached to the rig can use the same key weights.
 
     Parameters
     ----------
@@ -114,12 +116,6 @@ def pack_face(
     parts : tuple of str, optional
         Text that tells the region of each shape, see
         `usdface.model.placement.shape_parts.shape_parts`; default: the shapes' names.
-
-    Returns
-    -------
-    FacePayload
-        ``header["tracks"]`` lists the keys in the order of ``Deformer(rig).shapes.key_offsets``, so
-        that markers attached to the rig can use the same key weights.
     """
     surface = build_surface(rig.meshes)
     deformer = Deformer(rig)
