@@ -63,11 +63,18 @@ def creating(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, as `replacing` does."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file, as `replacing` does."""
     with replacing(path) as temporary:
         try:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+            temporary.write_bytes(data)
         except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+            raise InputError(
+                f"{path}: cannot be written ({error.strerror}); free the disk, or write elsewhere"
+            ) from error
 
 
 @dataclass(frozen=True)

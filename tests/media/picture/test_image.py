@@ -1,5 +1,6 @@
 import errno
 import io
+from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
 
@@ -8,8 +9,8 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 from PIL import Image
 
+from usdface.core import replacing
 from usdface.core.errors import InputError
-from usdface.media.picture import image
 from usdface.media.picture.image import (
     encode_image,
     pack_timecode,
@@ -104,12 +105,13 @@ def test_picture_that_cannot_be_written_says_why(
 
 @pytest.mark.parametrize("suffix", ["jpg", "png"])
 def test_any_failed_write_is_an_error_and_not_the_end_of_the_process(
-    tmp_path: Path, suffix: str
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link = tmp_path / f"full.{suffix}"
     link.symlink_to("/dev/full")
-    with pytest.raises(InputError, match="cannot be written"):
-        image._write_encoded(link, link, image._encoded(link, PICTURE, "{}"))
+    monkeypatch.setattr(replacing, "replacing", lambda path: nullcontext(link))
+    with pytest.raises(InputError, match=r"sheet.*cannot be written \(No space left"):
+        write_image(tmp_path / f"sheet.{suffix}", PICTURE)
 
 
 def test_more_metadata_than_jpeg_holds_is_refused_by_name(tmp_path: Path) -> None:

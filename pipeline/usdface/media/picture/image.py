@@ -17,7 +17,7 @@ from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import LABEL
-from usdface.core.replacing import replacing
+from usdface.core.replacing import replacing, write_bytes
 from usdface.core.text import json_object
 from usdface.core.version import __version__
 from usdface.media.picture.canvas import scale_picture
@@ -81,10 +81,10 @@ def write_image(
             f"{path}: {width} × {height} pixels, JPEG ends at {_MAX_JPEG}; write .png or .exr"
         )
     description = _description(metadata or {}, timecode, rate)
+    if suffix in _IN_MEMORY:
+        write_bytes(path, _encoded(path, pixels, description))
+        return
     with replacing(path) as temporary:
-        if suffix in _IN_MEMORY:
-            _write_encoded(path, temporary, _encoded(path, pixels, description))
-            return
         spec = _specification(suffix, width, height, description, timecode, rate)
         linear = suffix == ".exr"
         data = linear_from_srgb(pixels / 255.0).astype(np.float32) if linear else pixels
@@ -148,15 +148,6 @@ def _encoded(file: Path, pixels: ByteImage, description: str) -> bytes:
     exif[_EXIF_DESCRIPTION], exif[_EXIF_SOFTWARE] = description, _SOFTWARE
     image.save(stream, "jpeg", quality=JPEG_QUALITY, exif=exif)
     return stream.getvalue()
-
-
-def _write_encoded(file: Path, temporary: Path, data: bytes) -> None:
-    try:
-        temporary.write_bytes(data)
-    except OSError as error:
-        raise InputError(
-            f"{file}: cannot be written ({error.strerror}); free the disk, or write elsewhere"
-        ) from error
 
 
 def _specification(

@@ -73,10 +73,10 @@ class PartsWriter:
         """Append frames: (frames, shapes)."""
         done = 0
         while done < len(weights):
-            if self.next_frame > self._last:
+            if self.next_frame > self._part.last_frame:
                 self.close()
                 self._start(self.next_frame)
-            count = min(len(weights) - done, self._last - self.next_frame + 1)
+            count = min(len(weights) - done, self._part.last_frame - self.next_frame + 1)
             part = slice(done, done + count)
             self._writer.append(weights[part], figures.rows(part))
             done += count
@@ -85,19 +85,17 @@ class PartsWriter:
     def close(self) -> None:
         """Complete the open part."""
         self._open.close()
-        self.parts.append(
-            ClipPart(self._file, self._first, self._last, str(self._header.animation))
-        )
+        self.parts.append(self._part)
 
     def _start(self, first: int) -> None:
         header = self._header
-        self._first = first
-        self._last = min(first + self._part_frames - 1, header.last_frame)
-        self._file = part_path(self._path, self._first, self._last, self._provenance)
+        last = min(first + self._part_frames - 1, header.last_frame)
+        file = part_path(self._path, first, last, self._provenance)
+        self._part = ClipPart(file, first, last, str(header.animation))
         start = shift_timecode(header.timecode_start, first - header.first_frame, header.rate)
-        own = replace(header, first_frame=first, last_frame=self._last, timecode_start=start)
+        own = replace(header, first_frame=first, last_frame=last, timecode_start=start)
         self._writer = self._open.enter_context(
-            writing_weights(self._file, own, self._rig, provenance=self._provenance)
+            writing_weights(file, own, self._rig, provenance=self._provenance)
         )
 
 
