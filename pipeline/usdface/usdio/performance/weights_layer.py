@@ -276,12 +276,8 @@ def writing_weights(
 ) -> Iterator[WeightsWriter]:
     """Write a weights layer frame by frame, which replaces the file if the block succeeds.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be written, or the rig's skeletons cannot be pointed at the animation.
-    ValueError
-        If other frames were appended than those of the header.
+    `InputError` if the file cannot be written, or the rig's skeletons cannot be pointed at the
+    animation; `ValueError` if other frames were appended than those of the header.
     """
     with new_layer(path) as layer:
         # By way of text, so that the order of tokens is deterministic.

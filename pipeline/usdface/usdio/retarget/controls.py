@@ -137,7 +137,7 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
     if len(names) < 2 or len(rest) != len(names):
         names, rest = (), []
     top = stage.GetPrimAtPath(top_path(rig.prim))
-    attribute_names = find_control_attributes(rig, attributes)
+    attribute_names = _match_attributes(top, attributes, rig.file)
     values = [control_attribute(top, name, rig.file).Get() or 0.0 for name in attribute_names]
     parts = [decompose_joint(matrix) for matrix in rest]
     return Controls(

@@ -6,7 +6,7 @@ is corrected by moving its sphere, by another face, other weights on the face or
 point, or by deactivating its prim, which leaves the marker out.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,9 +132,7 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
             "to be kept"
         )
     names, places, left_out, authors = [], [], [], {}
-    holder = stage.GetPrimAtPath(_MARKERS)
-    for prim in holder.GetAllChildren() if holder else ():
-        name = str(_value(prim, "face:binding:marker") or prim.GetName())
+    for name, prim in _named_markers(stage):
         if not prim.IsActive():
             left_out.append(name)
             continue
@@ -329,7 +327,8 @@ def correct_binding(
     author : str
         Stored with each correction; empty if unknown.
     """
-    prims = _marker_prims(path)
+    stage = open_stage(path)
+    prims = {name: prim.GetPath() for name, prim in _named_markers(stage)}
     unknown = [name for name in places if name not in prims]
     if unknown:
         raise InputError(f"{path}: binds no marker {unknown[0]!r}; it has {first_few(prims)}")
@@ -349,13 +348,11 @@ def correct_binding(
                     author_uniform(over, _AUTHOR, Sdf.ValueTypeNames.Token, author)
 
 
-def _marker_prims(path: Path) -> dict[str, Sdf.Path]:
-    stage = open_stage(path)
+def _named_markers(stage: Usd.Stage) -> Iterator[tuple[str, Usd.Prim]]:
+    """Yield the name and the prim of each marker, those of inactive ones too."""
     holder = stage.GetPrimAtPath(_MARKERS)
-    return {
-        str(_value(prim, "face:binding:marker") or prim.GetName()): prim.GetPath()
-        for prim in (holder.GetAllChildren() if holder else ())
-    }
+    for prim in holder.GetAllChildren() if holder else ():
+        yield str(_value(prim, "face:binding:marker") or prim.GetName()), prim
 
 
 def read_surface_hash(path: Path) -> str:
