@@ -126,23 +126,10 @@ def _inverse_roots(G: RealArray) -> Float32Array:
     G : (..., 10) float32 array
         Entries in the order of `SYMMETRIC_ENTRIES`.
     """
-    exact = G.astype(np.float64)
-    entry = {pair: exact[..., k] for k, pair in enumerate(SYMMETRIC_ENTRIES)}
-    root: dict[tuple[int, int], FloatArray] = {}
-    for j in range(4):
-        for i in range(j, 4):
-            rest = entry[j, i]
-            for k in range(j):
-                rest = rest - root[i, k] * root[j, k]
-            root[i, j] = np.sqrt(rest) if i == j else rest / root[j, j]
-    inverse = np.zeros((*exact.shape[:-1], 4, 4))
-    for j in range(4):
-        for i in range(j, 4):
-            rest = np.full_like(exact[..., 0], float(i == j))
-            for k in range(j, i):
-                rest = rest - root[i, k] * inverse[..., k, j]
-            inverse[..., i, j] = rest / root[i, i]
-    return inverse.astype(np.float32)
+    whole = np.empty((*G.shape[:-1], 4, 4))
+    for k, (i, j) in enumerate(SYMMETRIC_ENTRIES):
+        whole[..., i, j] = whole[..., j, i] = G[..., k]
+    return np.linalg.inv(np.linalg.cholesky(whole)).astype(np.float32)
 
 
 def join_moments(parts: list[DualMoments]) -> DualMoments:
