@@ -95,10 +95,3 @@ def test_the_spline_reaches_farther_the_worse_the_prediction():
     assert choose_spline_limit(points, seen, bad, noise=0) > choose_spline_limit(
         points, seen, good, noise=0
     )
-
-
-def test_input_that_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match="max_gap must be 0 or more"):
-        fill_gaps(tracks(), hidden((400, 3), 1, 2), max_gap=-1, prediction=tracks(), spline_limit=8)
-    with pytest.raises(ValueError, match="must agree"):
-        fill_gaps(tracks(), np.ones((5, 3), bool), max_gap=3, prediction=tracks(), spline_limit=8)

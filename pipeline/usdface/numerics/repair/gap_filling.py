@@ -169,13 +169,6 @@ def fill_gaps(
     """
     points, seen = np.array(positions), np.asarray(visible, bool)
     expected = np.asarray(prediction)
-    if max_gap < 0:
-        raise ValueError(f"max_gap must be 0 or more frames, got {max_gap}")
-    if points.shape[:2] != seen.shape or expected.shape != points.shape:
-        raise ValueError(
-            f"positions {points.shape}, visible {seen.shape} and prediction {expected.shape} must "
-            "agree"
-        )
     confidence = seen.astype(np.float32)
     filled = np.zeros_like(seen)
     informed = seen.mean(axis=1) >= _INFORMED_SHARE
