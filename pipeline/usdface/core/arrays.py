@@ -80,9 +80,10 @@ def distances(one: NDArray[np.floating], other: NDArray[np.floating]) -> Any:
     return row_lengths(one - other)[..., 0]
 
 
-def rms_radius(points: FloatArray) -> float:
-    """Return the root mean square distance of points, (n, 3), from their mean."""
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+def rms_radius(points: FloatArray, weights: FloatArray | None = None) -> float:
+    """Return the root mean square distance of points, (n, 3), from their mean; both weighted."""
+    squared = ((points - np.average(points, axis=0, weights=weights)) ** 2).sum(axis=1)
+    return float(np.sqrt(np.average(squared, weights=weights)))
 
 
 def relative_distances(rows: FloatArray) -> FloatArray:
@@ -93,6 +94,14 @@ def relative_distances(rows: FloatArray) -> FloatArray:
     between = away[np.triu_indices(len(rows), 1)]
     differing = between[between > _EQUAL_SHARE * away.max()]
     return np.asarray(away / (np.median(differing) if len(differing) else 1.0))
+
+
+def nearest_distances(between: FloatArray) -> FloatArray:
+    """Return the distance of each place to the nearest at another position; infinite if none is.
+
+    `between`: (places, places), 0 between those at one position.
+    """
+    return np.asarray(np.where(between > 0, between, np.inf).min(axis=1))
 
 
 def medians_where(values: RealArray, mask: BoolArray) -> FloatArray:

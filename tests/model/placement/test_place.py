@@ -198,7 +198,7 @@ def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
     places = np.array([found[name] for name in labels.values()])
     yaw = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     neutral = (places * [1.15, 0.9, 1.3]) @ yaw.T + [300.0, 1500.0, -80.0]
-    cloud = marker_cloud(tuple(labels), neutral, None)
+    cloud = marker_cloud(tuple(labels), neutral, neutral[None][:0])
     placed = place_markers(cloud, skin, rig.shapes)
     away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - places, axis=1)
     assert placed.by_labels
@@ -220,7 +220,7 @@ def test_labels_place_markers_on_a_rig_with_foreign_names(demo) -> None:
         "Reye_Outer": "eye_outer_R",
     }
     places = np.array([found[name] for name in labels.values()])
-    cloud = marker_cloud(tuple(labels), places * [1.1, 0.95, 1.2], None)
+    cloud = marker_cloud(tuple(labels), places * [1.1, 0.95, 1.2], places[None][:0])
     placed = place_markers(cloud, skin, tuple(f"shape_{i}" for i in range(len(rig.shapes))))
     assert placed.by_labels
     assert (
@@ -284,7 +284,7 @@ def test_a_place_that_a_person_gave_is_kept(demo) -> None:
     found = find_landmarks(skin, rig.shapes)
     names = ("nose_tip", "chin", "mouth_L", "mouth_R", "lid_upper_L")
     places = np.array([found[name] for name in names])
-    cloud = marker_cloud(tuple("abcde"), places, None)
+    cloud = marker_cloud(tuple("abcde"), places, places[None][:0])
     pins = {row: place @ skin.frame for row, place in enumerate(places)}
     placed = place_markers(cloud, skin, rig.shapes, pinned=pins)
     away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - places, axis=1)
@@ -381,7 +381,7 @@ def test_labels_of_one_side_show_no_plane_of_symmetry() -> None:
     labels = ("Lbrow_1", "Lbrow_2", "Lcheek_1", "Lcheek_2", "Lcheek_3", "Chin")
     places = np.random.default_rng(0).normal(0, 30, (6, 3))
     with pytest.raises(ValueError, match="labels name markers of the left side only"):
-        marker_cloud(labels, places, None).levelled()
+        marker_cloud(labels, places, places[None][:0]).levelled()
 
 
 @pytest.mark.parametrize("tracker", ["track", "openface"])

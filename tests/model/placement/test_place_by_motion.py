@@ -162,7 +162,7 @@ def test_deltas_explain_the_motion_of_the_performer(actor, face, placed):
 def test_given_places_alone_align_a_cloud_without_motion(face, skin):
     actor = act(face, yaw=180)
     pins = {i: face.points[actor.carriers[i]] for i in range(0, 70, 6)}
-    placed = place(skin, actor.neutral, None, pins=pins)
+    placed = place(skin, actor.neutral, actor.neutral[None][:0], pins=pins)
     assert np.median(errors(face, actor, placed)) < 6
     assert errors(face, actor, placed)[list(pins)].max() < 2.5  # between samples
 
@@ -170,7 +170,7 @@ def test_given_places_alone_align_a_cloud_without_motion(face, skin):
 def test_mirrored_places_are_refused(face, skin, actor):
     pins = {i: face.points[actor.carriers[i]] for i in range(0, 70, 6)}
     with pytest.raises(ValueError, match="left and right are not exchanged"):
-        place(skin, actor.neutral * (-1, 1, 1), None, pins=pins)
+        place(skin, actor.neutral * (-1, 1, 1), actor.neutral[None][:0], pins=pins)
 
 
 @pytest.mark.usefixtures("placed_once", "few_starts")
@@ -195,9 +195,9 @@ def test_a_surface_that_nothing_moves_is_refused(face):
 @pytest.mark.parametrize(
     ("neutral", "positions", "message"),
     [
-        (np.zeros((5, 2)), None, r"neutral must be \(markers, 3\)"),
-        (np.full((5, 3), np.nan), None, "leave unseen markers out"),
-        (np.zeros((3, 3)), None, "at least 4 markers, got 3"),
+        (np.zeros((5, 2)), np.zeros((4, 5, 2)), r"neutral must be \(markers, 3\)"),
+        (np.full((5, 3), np.nan), np.zeros((4, 5, 3)), "leave unseen markers out"),
+        (np.zeros((3, 3)), np.zeros((4, 3, 3)), "at least 4 markers, got 3"),
         (np.eye(5, 3), np.zeros((4, 3, 3)), "motion must be"),
         (np.eye(5, 3), np.full((4, 5, 3), np.nan), "fill gaps first"),
     ],

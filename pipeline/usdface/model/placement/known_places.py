@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, rms_radius
 from usdface.model.placement.label_hints import (
     are_image_landmarks,
     label_hint,
@@ -13,7 +13,7 @@ from usdface.model.placement.label_hints import (
 from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.landmark_matching import FaceLandmarks
-from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, KnownPlace
+from usdface.numerics.registration.skin_placement import KnownPlace
 
 _ACTIVE_SHARE = 0.1
 """Share of the largest displacement below which skin carries no markers."""
@@ -90,7 +90,7 @@ def places_by_labels(
             spreads[hint.landmarks] = hint.spread_mm
     places = []
     for names, markers in groups.items():
-        scatter = np.sqrt(cloud.neutral[markers].var(axis=0).sum())
+        scatter = rms_radius(cloud.neutral[markers])
         mean = np.mean([landmarks[name] for name in names], axis=0)
         spread = float(np.hypot(spreads[names], scatter)) * unit
         places.append(KnownPlace(tuple(markers), mean, spread, " and ".join(names)))
@@ -100,13 +100,13 @@ def places_by_labels(
 def marked_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLandmarks:
     """Return the landmarks that usually carry markers."""
     names = tuple(name for name in landmarks if landmark_spread_mm(name))
-    unit, activity = skin.size_mm / TYPICAL_SIZE_MM, skin.activity()
+    activity = skin.activity()
     return FaceLandmarks(
         names,
         np.array([landmarks[name] for name in names]).reshape(-1, 3),
-        np.array([landmark_spread_mm(name) for name in names]) * unit,
+        np.array([landmark_spread_mm(name) for name in names]) * skin.unit,
         float(skin.areas[activity > _ACTIVE_SHARE * activity.max()].sum()),
-        unit,
+        skin.unit,
     )
 
 
@@ -116,11 +116,8 @@ def usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatAr
     By the height of the eyes over the mouth, if the markers may be in millimetres; else by the
     spread of the markers relative to that of the moving skin.
     """
-    activity = skin.activity()
-    share = activity / activity.sum()
-    moving = np.sqrt((share @ (skin.positions - share @ skin.positions) ** 2).sum())
-    spread = np.sqrt(cloud.neutral.var(axis=0).sum())
-    covering = float(moving / max(spread, 1e-9))
+    moving = rms_radius(skin.positions, skin.activity())
+    covering = moving / max(rms_radius(cloud.neutral), 1e-9)
     if not {"mouth_middle", "lid_upper_L", "lid_lower_L"} <= landmarks.keys():
         return covering
     eyes = (landmarks["lid_upper_L"] + landmarks["lid_lower_L"])[1] / 2

@@ -35,8 +35,9 @@ class MarkerCloud:
     labels: tuple[str, ...]
     neutral: FloatArray
     """(markers, 3): neutral positions, Y roughly up, any yaw [mm]."""
-    motion: FloatArray | None
-    """(frames, markers, 3): displacements from `neutral`, of frames that differ [mm]."""
+    motion: FloatArray
+    """(frames, markers, 3): displacements from `neutral`, of frames that differ, perhaps none [mm].
+    """
     still: BoolArray
     """(markers,): markers whose motion is not used: rigid ones, and those without any."""
 
@@ -50,7 +51,7 @@ class MarkerCloud:
 def marker_cloud(
     labels: tuple[str, ...],
     neutral: FloatArray,
-    positions: RealArray | None,
+    positions: RealArray,
     *,
     visible: BoolArray | None = None,
     rigid: Sequence[int] = (),
@@ -61,7 +62,7 @@ def marker_cloud(
     ----------
     neutral : (markers, 3) float array
         [mm]
-    positions : (frames, markers, 3) float array, optional
+    positions : (frames, markers, 3) float array
         Stabilised, in the space of `neutral` [mm]; frames that differ are picked.
     visible : (frames, markers) bool array, optional
         Frames that miss markers are avoided.
@@ -77,19 +78,20 @@ def marker_cloud(
         raise ValueError(f"registration needs at least {FEWEST_MARKERS} markers, got {len(y)}")
     still = np.zeros(len(y), np.bool_)
     still[list(rigid)] = True
-    motion = None if positions is None else _pick_frames(y, positions, visible, still)
-    return MarkerCloud(labels, y, motion, still)
+    return MarkerCloud(labels, y, _pick_frames(y, positions, visible, still), still)
 
 
 def _pick_frames(
     neutral: FloatArray, positions: RealArray, visible: BoolArray | None, still: BoolArray
 ) -> FloatArray:
     """Return the displacements of frames that differ most from each other."""
-    if positions.ndim != 3 or positions.shape[1:] != neutral.shape or not len(positions):
+    if positions.ndim != 3 or positions.shape[1:] != neutral.shape:
         raise ValueError(
             f"motion must be (frames, {len(neutral)}, 3) like the neutral, got {positions.shape}"
         )
     rows = np.arange(len(positions))
+    if not len(rows):
+        return np.zeros((0, *neutral.shape))
     if visible is not None:
         seen = np.asarray(visible, bool).mean(axis=1)
         rows = np.flatnonzero(seen >= min(0.999, float(np.quantile(seen, 0.5))))

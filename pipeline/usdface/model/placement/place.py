@@ -18,7 +18,7 @@ from usdface.model.placement.placement_candidates import (
 )
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
-from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, KnownPlace
+from usdface.numerics.registration.skin_placement import KnownPlace
 from usdface.numerics.registration.virtual_markers import VirtualMarkers, find_pose_errors
 from usdface.numerics.rigid.pose_error import PoseErrors
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
@@ -92,16 +92,18 @@ def place_markers(
     """
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     placement, samples = _place(cloud, skin, shapes, limits, pinned or {})
+    if not len(cloud.motion):
+        return placement
     errors = pose_errors_at(cloud, skin, placement.virtual, samples)
     for count in range(_POSE_ROUNDS):
-        if errors is None or not errors.possible_mm:
+        if not errors.possible_mm:
             break
         is_large = count == 0 and errors.possible_mm >= _LARGE_ERROR_MM
         removed = replace(errors, size_mm=errors.possible_mm)
         corrected = _without_rigid_motion(cloud) if is_large else without_errors(removed, cloud)
         other, samples = _place(corrected, skin, shapes, limits, pinned or {})
         found = pose_errors_at(cloud, skin, other.virtual, samples)
-        if found is not None and found.evidence >= errors.evidence + _LEAST_GAIN:
+        if found.evidence >= errors.evidence + _LEAST_GAIN:
             gain = max(placement.overturned_gain, other.overturned_gain)
             placement, errors = replace(other, overturned_gain=gain), found
         elif not is_large:
@@ -111,8 +113,6 @@ def place_markers(
 
 def _without_rigid_motion(cloud: MarkerCloud) -> MarkerCloud:
     """Return a cloud whose moving markers, taken together, are at rest in every frame."""
-    if cloud.motion is None:
-        return cloud
     positions = cloud.neutral + cloud.motion
     moving = np.broadcast_to(~cloud.still, positions.shape[:2])
     rigid = align_rigid_robust(positions, cloud.neutral, visible=moving)
@@ -122,8 +122,6 @@ def _without_rigid_motion(cloud: MarkerCloud) -> MarkerCloud:
 
 def without_errors(errors: PoseErrors, cloud: MarkerCloud) -> MarkerCloud:
     """Return a cloud whose motion has no errors of poses."""
-    if cloud.motion is None:
-        return cloud
     positions = cloud.neutral + cloud.motion
     corrected = errors.remove(positions, np.ones(positions.shape[:2], np.bool_))
     return replace(cloud, motion=corrected - cloud.neutral)
@@ -131,13 +129,8 @@ def without_errors(errors: PoseErrors, cloud: MarkerCloud) -> MarkerCloud:
 
 def pose_errors_at(
     cloud: MarkerCloud, skin: FaceSkin, virtual: VirtualMarkers, samples: IntArray
-) -> PoseErrors | None:
-    """Return the errors of the takes' poses if the markers are at `samples` (markers,) of the skin.
-
-    None without motion.
-    """
-    if cloud.motion is None:
-        return None
+) -> PoseErrors:
+    """Return the errors of the takes' poses, for markers at `samples` (markers,) of the skin."""
     positions = cloud.neutral + cloud.motion
     return find_pose_errors(
         virtual,
@@ -156,11 +149,10 @@ def _place(
     limits: FloatArray,
     pinned: dict[int, FloatArray],
 ) -> tuple[MarkerPlacement, IntArray]:
-    unit = skin.size_mm / TYPICAL_SIZE_MM
     landmarks = find_landmarks(skin, shapes)
     pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in pinned.items()}
-    known = places_by_labels(cloud, landmarks, unit, without=pins)
-    given = [KnownPlace((marker,), at, _PIN_SPREAD_MM * unit) for marker, at in pins.items()]
+    known = places_by_labels(cloud, landmarks, skin.unit, without=pins)
+    given = [KnownPlace((marker,), at, _PIN_SPREAD_MM * skin.unit) for marker, at in pins.items()]
     inputs = PlacementInputs(
         cloud,
         skin,
@@ -193,7 +185,7 @@ def _lift_above_lid_margins(
     inputs: PlacementInputs, landmarks: dict[str, FloatArray], samples: IntArray
 ) -> None:
     """Move markers of upper lids that lie below the lid's margin above it."""
-    radius = _MARKER_RADIUS_MM * inputs.skin.size_mm / TYPICAL_SIZE_MM
+    radius = _MARKER_RADIUS_MM * inputs.skin.unit
     for marker, label in enumerate(inputs.cloud.labels):
         hint = label_hint(label)
         if set(hint.landmarks) == {f"lid_crease_{hint.side}"} <= landmarks.keys():

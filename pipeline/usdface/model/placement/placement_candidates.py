@@ -24,7 +24,6 @@ from usdface.numerics.registration.motion_search import (
 )
 from usdface.numerics.registration.plane_fit import fit_in_plane
 from usdface.numerics.registration.skin_placement import (
-    TYPICAL_SIZE_MM,
     KnownPlace,
     SkinPlacement,
     explained_share,
@@ -92,12 +91,13 @@ def _settle(
     inputs: PlacementInputs, frame: FloatArray, levelled: FloatArray, fit: Alignment
 ) -> PlacementCandidate:
     cloud, images = inputs.cloud, inputs.skin_share < 1
+    motion = cloud.motion[:0] if images else cloud.motion
     placement = place_on_skin(
         levelled,
         inputs.skin,
         fit,
         landmarks=inputs.landmarks,
-        motion=None if cloud.motion is None or images else cloud.motion @ frame.T,
+        motion=motion @ frame.T,
         ranges=inputs.ranges,
         still=cloud.still,
         middle=middle_markers(cloud.labels),
@@ -130,7 +130,7 @@ def candidate_by_labels(inputs: PlacementInputs) -> PlacementCandidate:
     middles = _middles(inputs, levelled)
     spreads = np.array([each.spread_mm for each in inputs.landmarks])
     # A given place is exact, but differing proportions keep the transform from reaching it.
-    least = _PROPORTION_SPREAD_MM * inputs.skin.size_mm / TYPICAL_SIZE_MM
+    least = _PROPORTION_SPREAD_MM * inputs.skin.unit
     fit = fit_in_plane(
         middles, targets, np.maximum(spreads, least), centre_x=inputs.skin.sagittal_x
     )
@@ -148,7 +148,7 @@ def best_by_motion(inputs: PlacementInputs) -> PlacementCandidate:
     Markers near landmarks are drawn to them, weighted by the probability of the match.
     """
     cloud, motion = inputs.cloud, inputs.cloud.motion
-    if motion is None or not motion.any():
+    if not motion.any():
         return _by_shape(inputs)
     try:
         frame, levelled = cloud.levelled()
@@ -243,11 +243,9 @@ def _value(
         misses = _middles(inputs, placement.warped) - [each.place for each in inputs.landmarks]
         spreads = np.array([each.spread_mm for each in inputs.landmarks])
         value -= _LABEL_COST * float(((misses**2).sum(axis=1) / spreads**2).mean())
-    if motion is not None:
-        moved = to_character(motion @ candidate.frame.T, placement.fit)
-        weights = solve_weights_at(skin, placement.samples, moved, inputs.ranges)
-        value += motion_value(explained_share(skin, placement.samples, moved, weights))
-    return value
+    moved = to_character(motion @ candidate.frame.T, placement.fit)
+    weights = solve_weights_at(skin, placement.samples, moved, inputs.ranges)
+    return value + motion_value(explained_share(skin, placement.samples, moved, weights))
 
 
 def _by_shape(inputs: PlacementInputs) -> PlacementCandidate:
@@ -257,19 +255,18 @@ def _by_shape(inputs: PlacementInputs) -> PlacementCandidate:
     markers all over the face. With few markers it may slide to a wrong place.
     """
     cloud, skin = inputs.cloud, inputs.skin
-    moved = None if cloud.motion is None else np.sqrt((cloud.motion**2).sum(axis=2)).mean(axis=0)
     found = align_cloud(
         cloud.neutral,
         skin.positions,
         activity=skin.activity(),
         areas=skin.areas,
-        amplitude=moved,
+        amplitude=np.linalg.norm(cloud.motion, axis=2).sum(axis=0),
     )
     placement = place_by_motion(
         cloud.neutral,
         skin.positions,
         found,
-        skin_deltas=None if cloud.motion is None else skin.deltas,
+        skin_deltas=skin.deltas,
         motion=cloud.motion,
         ranges=inputs.ranges,
         pinned=inputs.pins,

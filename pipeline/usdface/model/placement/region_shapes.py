@@ -22,7 +22,7 @@ from usdface.numerics.measure.face_regions import (
     region_of_shape,
 )
 from usdface.numerics.registration.face_skin import FaceSkin
-from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, solve_weights_at
+from usdface.numerics.registration.skin_placement import solve_weights_at
 
 _STILL_MM = 1.0
 """RMS motion of skin on an adult's face from which the rig needs a shape there."""
@@ -77,7 +77,7 @@ def words_on_missing_shapes(
     ranges : (shapes, 2) float array
     """
     motion = np.sqrt((moved**2).sum(axis=2).mean(axis=0))
-    moving = motion > _STILL_MM * skin.size_mm / TYPICAL_SIZE_MM
+    moving = motion > _STILL_MM * skin.unit
     moving[[label.startswith("iris_") for label in labels]] = False  # eyeballs have joints
     template = fit_region_template(skin, shapes)
     regions = _marker_regions(labels, skin, template, samples)
@@ -150,7 +150,7 @@ def _owners(
     meanings = read_meanings(shapes)
     hidden = set(gaze_and_tongue_shapes(shapes).tolist())
     away, near = KDTree(skin.positions[samples]).query(skin.positions)
-    cells = np.where(away < _CELL_MM * skin.size_mm / TYPICAL_SIZE_MM, regions[near], "")
+    cells = np.where(away < _CELL_MM * skin.unit, regions[near], "")
     masks = np.array([cells == region for region in REGIONS])
     owners = []
     for shape, (name, size) in enumerate(zip(shapes, sizes, strict=True)):
@@ -184,7 +184,7 @@ def _unfollowed_mm(
     away = _left_motion(skin, samples, moved, ranges)
     left, motion = (np.sqrt((each**2).sum(axis=2).mean(axis=0)) for each in (away, moved))
     follows = left**2 < (1 - _UNFOLLOWED_SHARE) * motion**2
-    follows |= left < _UNFOLLOWED_MM * skin.size_mm / TYPICAL_SIZE_MM
+    follows |= left < _UNFOLLOWED_MM * skin.unit
     return np.asarray(np.where(follows, 0.0, left))
 
 
@@ -200,7 +200,7 @@ def _left_motion(
 def _closes_eyes(skin: FaceSkin, shapes: tuple[str, ...], owners: np.ndarray) -> bool:
     """Whether a shape closes an eye: by its name or, if that tells nothing, by its displacement."""
     meanings = read_meanings(shapes)
-    travel = -skin.deltas[:, :, 1].min(axis=1, initial=0.0) * TYPICAL_SIZE_MM / skin.size_mm
+    travel = -skin.deltas[:, :, 1].min(axis=1, initial=0.0) / skin.unit
     return any(
         mm > (0.0 if meanings[name].motion == _BLINK else _LID_TRAVEL_MM)
         for name, owner, mm in zip(shapes, owners, travel, strict=True)

@@ -14,8 +14,7 @@ from scipy.spatial import KDTree
 
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.model.retarget.shape_names import read_meanings
-from usdface.numerics.registration.face_skin import FaceSkin
-from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
+from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 
 _SIDES = (("L", 1.0), ("R", -1.0))
 """The character's left lies towards +X of the face's frame."""
@@ -114,7 +113,7 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
     shapes : sequence of str
         Names of the rig's shapes, in the order of the skin's deltas.
     """
-    unit = skin.size_mm / TYPICAL_SIZE_MM
+    unit = skin.unit
     if 1 / _LARGEST_RATIO <= unit <= _LARGEST_RATIO:
         return _find(skin, shapes)
     adult = replace(

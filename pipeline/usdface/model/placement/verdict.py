@@ -15,7 +15,6 @@ from usdface.model.placement.region_shapes import words_on_missing_shapes
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import (
-    TYPICAL_SIZE_MM,
     KnownPlace,
     explained_share,
     solve_weights_at,
@@ -110,21 +109,19 @@ def judge_placement(
     placed : collection of int
         Markers placed by a person.
     """
-    unit = skin.size_mm / TYPICAL_SIZE_MM
     local = at @ skin.frame.T
     nearest = KDTree(skin.positions)
     samples = np.asarray(nearest.query(local)[1], np.int64)
     landmarks = find_landmarks(skin, shapes)
-    known = places_by_labels(cloud, landmarks, unit)
+    known = places_by_labels(cloud, landmarks, skin.unit)
     far = _far_markers(local, known, placed)
     roll = _roll_degrees(replace(cloud, neutral=local))
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
     reasons.append(_on_neck(cloud.labels, local, landmarks))
     explained = float("nan")
-    errors = pose_errors_at(cloud, skin, virtual, samples)
-    if errors is not None:
+    if len(cloud.motion):
+        errors = pose_errors_at(cloud, skin, virtual, samples)
         cloud = without_errors(certain_errors(errors), cloud)
-    if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
         weights = solve_weights_at(skin, samples, moved, ranges)
         explained = explained_share(skin, samples, moved, weights)
@@ -246,7 +243,7 @@ def _tilt(roll: float) -> _Reason:
 
 def _one_sided(local: FloatArray, skin: FaceSkin) -> _Reason:
     across = local[:, 0] - skin.sagittal_x
-    beside = across[np.abs(across) > _MIDLINE_MM * skin.size_mm / TYPICAL_SIZE_MM]
+    beside = across[np.abs(across) > _MIDLINE_MM * skin.unit]
     left = float((beside > 0).mean()) if len(beside) else 0.5
     if min(left, 1 - left) >= _ONE_SIDE_SHARE:
         return _FINE

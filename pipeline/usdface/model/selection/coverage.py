@@ -10,7 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, relative_distances, sample_frames
+from usdface.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    frame_blocks,
+    relative_distances,
+    sample_frames,
+)
 from usdface.core.assets import References
 from usdface.model.mapping.coverage import LEAST_COVERAGE, CoverageModel
 from usdface.model.mapping.motion_space import motion_from_pca
@@ -165,12 +172,8 @@ def measure_coverage(
     """
     step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
     rows = np.arange(0, count, step, dtype=np.int64)
-    found = np.concatenate(
-        [
-            model.measure(displacements(rows[start : start + _BLOCK_FRAMES]))
-            for start in range(0, len(rows), _BLOCK_FRAMES)
-        ]
-    )
+    blocks = frame_blocks(len(rows), frames=_BLOCK_FRAMES)
+    found = np.concatenate([model.measure(displacements(rows[block])) for block in blocks])
     every = np.repeat(found, step, axis=0)[:count]
     return Coverage(every[:, 0], regions[1:], every[:, 1:])
 

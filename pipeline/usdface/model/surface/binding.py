@@ -30,7 +30,7 @@ from usdface.numerics.surface.surface_places import (
     nearest_places,
     places_of_corners,
 )
-from usdface.numerics.surface.triangulation import triangulate
+from usdface.numerics.surface.triangulation import triangle_normals, triangulate
 
 FEWEST_LANDMARKS = 3
 
@@ -125,7 +125,15 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
     targets = np.array([pins[marker] for marker in markers])
     start = align_landmarks(neutral[markers], targets)
     skin = _skin_near(mesh, start.apply(neutral), targets)
-    found = place_by_motion(neutral, skin.positions, start, pinned=pins)
+    found = place_by_motion(
+        neutral,
+        skin.positions,
+        start,
+        skin_deltas=np.zeros((0, *skin.positions.shape), np.float32),
+        motion=np.zeros((0, *neutral.shape)),
+        ranges=np.zeros((0, 2)),
+        pinned=pins,
+    )
     # Samples are millimetres apart; the point nearest to the warped marker is between them.
     near = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, found.warped)
     sampled = places_of_corners(
@@ -177,9 +185,7 @@ def _facing(
     points: FloatArray, triangles: IntArray, aligned: FloatArray, skin: FloatArray
 ) -> FloatArray:
     """Return the horizontal direction of the mean normal of the skin under the markers."""
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    weight = skin[triangles].mean(axis=1)
-    outward = (np.cross(b - a, c - a) * weight[:, None]).sum(axis=0)
+    outward = skin[triangles].mean(axis=1) @ triangle_normals(points, triangles)
     # The face is convex: outer markers are behind the inner ones, for either winding.
     radius = np.linalg.norm(aligned - aligned.mean(axis=0), axis=1)
     inner = radius <= np.median(radius)

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks, nearest_distances
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
@@ -136,13 +136,12 @@ class GpSurface(SurfaceModel):
         # The next block is sampled while this one is predicted.
         with ThreadPoolExecutor(max_workers=1) as executor:
             sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES])
-            for start in range(0, len(moved), _SAMPLED_FRAMES):
+            for rows in frame_blocks(len(moved), frames=_SAMPLED_FRAMES):
                 theta = sampled.result()
-                stop = start + _SAMPLED_FRAMES
-                sampled = executor.submit(self._sample, moved[stop : stop + _SAMPLED_FRAMES])
-                block, known = moved[start:stop], measured[start:stop]
-                for first in range(0, len(block), size):
-                    part = slice(first, min(first + size, len(block)))
+                following = moved[rows.stop : rows.stop + _SAMPLED_FRAMES]
+                sampled = executor.submit(self._sample, following)
+                block, known = moved[rows], measured[rows]
+                for part in frame_blocks(len(block), frames=size):
                     yield self._fields(block[part], known[part], theta[..., part])
 
     def _sample(self, moved: FloatArray) -> FloatArray:
@@ -315,7 +314,7 @@ def _sample_fitted(
 
 def _median_spacing(between: FloatArray) -> float:
     """Return the median distance from a marker to the nearest other place [mm]."""
-    return float(np.median(np.where(between > 0, between, np.inf).min(axis=1)))
+    return float(np.median(nearest_distances(between)))
 
 
 def _rows_of_axes(moved: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
@@ -38,8 +38,8 @@ class RbfSurface(SurfaceModel):
     def _predict(
         self, moved: FloatArray, measured: BoolArray, size: int
     ) -> Iterator[SurfaceMotion]:
-        for start in range(0, len(moved), size):
-            part = moved[start : start + size].astype(np.float32)
+        for rows in frame_blocks(len(moved), frames=size):
+            part = moved[rows].astype(np.float32)
             flat = part.transpose(1, 0, 2).reshape(self.marker_count, -1)
             mean = (self.operator @ flat).reshape(self.point_count, -1, 3).transpose(1, 0, 2)
             yield SurfaceMotion(np.ascontiguousarray(mean), None)

@@ -53,6 +53,7 @@ from usdface.core.arrays import (
     IntArray,
     RealArray,
     frame_blocks,
+    nearest_distances,
     smoothstep,
 )
 
@@ -143,7 +144,7 @@ class DistanceMultiquadric:
 
 def nearest_stiffness(between: FloatArray) -> FloatArray:
     """Return `STIFFNESS_SHARE` of each marker's distance to the nearest other place [mm]."""
-    nearest: FloatArray = np.where(between > 0, between, np.inf).min(axis=1)
+    nearest = nearest_distances(between)
     if not np.isfinite(nearest).all():
         raise ValueError("all markers sit at one place; no distance between them")
     return STIFFNESS_SHARE * nearest

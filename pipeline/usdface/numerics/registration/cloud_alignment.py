@@ -17,7 +17,8 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, rms_radius
+from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 _YAWS_DEGREES = range(0, 360, 30)
 _PITCHES_DEGREES = (-20, 0, 20)
@@ -111,7 +112,7 @@ def align_cloud(
     *,
     activity: FloatArray,
     areas: FloatArray,
-    amplitude: FloatArray | None,
+    amplitude: FloatArray,
 ) -> Alignment:
     """Fit the rotation, translation and per-axis scale that map a marker cloud onto a face.
 
@@ -125,7 +126,7 @@ def align_cloud(
         Displacement of each sample by the shapes.
     areas : (samples,) float array
         Area of skin that each sample represents.
-    amplitude : (markers,) float array, optional
+    amplitude : (markers,) float array
         Motion of each marker in the take; ignored if all are 0.
 
     Raises
@@ -138,12 +139,11 @@ def align_cloud(
     moving = np.sqrt(activity / activity.max())
     squared = ((skin - skin.mean(axis=0)) ** 2).sum(axis=1)
     size = float(np.sqrt(np.average(squared, weights=areas)))
-    a = np.zeros(len(cloud)) if amplitude is None else amplitude
-    largest = float(np.quantile(a, 0.97))
+    largest = float(np.quantile(amplitude, 0.97))
     skin_motion, cloud_motion = np.zeros(len(skin)), np.zeros(len(cloud))
     if largest > 0:  # 0 in a take of one frame
         skin_motion = _MOTION_MM * size / 80 * moving
-        cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(a / largest, 1.2))
+        cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(amplitude / largest, 1.2))
     skin4, cloud4 = np.column_stack([skin, skin_motion]), np.column_stack([cloud, cloud_motion])
     need = areas * (moving > 0.35)  # parts that a marker set always covers
     coarse = _Skin(skin4, need, _COARSE_SKIN)
@@ -181,10 +181,8 @@ class _Skin:
 
 def _starts(y: FloatArray, x: FloatArray, need: FloatArray) -> list[Alignment]:
     """Return similarities from all sides, scaled by the spread of the moving skin."""
-    centre = np.average(x, axis=0, weights=need)
-    spread = np.sqrt(np.average(((x - centre) ** 2).sum(axis=1), weights=need))
-    middle = y.mean(axis=0)
-    scale = np.full(3, spread / np.sqrt(((y - middle) ** 2).sum(axis=1).mean()))
+    centre, middle = np.average(x, axis=0, weights=need), y.mean(axis=0)
+    scale = np.full(3, rms_radius(x, need) / rms_radius(y))
     turns = [
         Rotation.from_euler("yx", [yaw, pitch], degrees=True).as_matrix()
         for yaw in _YAWS_DEGREES
@@ -224,8 +222,8 @@ def _fit(
     y_mean, x_mean = w @ y, w @ x
     yc, xc = y - y_mean, x - x_mean
     shape = now.scale / np.prod(now.scale) ** (1 / 3) if proportions else np.ones(3)
-    u, _, vt = np.linalg.svd((xc / shape * w[:, None]).T @ yc)
-    rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    cross = (xc / shape * w[:, None]).T @ yc
+    rotation = optimal_rotations(cross[None], rank_tolerance=0.0)[0][0]
     turned = yc @ rotation.T
     mean_square = w @ turned**2
     if proportions:

@@ -11,12 +11,12 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, rms_radius
 from usdface.core.last_result import cache_last_result
 from usdface.numerics.registration.virtual_markers import deltas_at
 from usdface.numerics.rigid.rigid_alignment import align_rigid, alignment_residuals
 from usdface.numerics.surface.surface_graph import connected_parts
-from usdface.numerics.surface.triangulation import triangle_areas
+from usdface.numerics.surface.triangulation import triangle_areas, triangle_normals
 
 _SAMPLE_COUNT = 12_000  # about 2 mm apart on a face
 _DEPTH_PIXELS = 200  # over the larger side: about 1.3 mm on a head
@@ -55,7 +55,7 @@ def facing_direction(points: FloatArray, triangles: IntArray, activity: FloatArr
         Displacement of each point by the shapes.
     """
     a, corners = activity[triangles].mean(axis=1), points[triangles]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = triangle_normals(points, triangles)
     area = np.linalg.norm(cross, axis=1) / 2
     if not (a * area).sum() > 0:
         raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
@@ -160,6 +160,9 @@ def _on_skin(
     return large[piece[T[owner, 0]]]
 
 
+TYPICAL_SIZE_MM = 55.0
+"""Root mean square radius of an adult's moving face."""
+
 _ACTIVE_SHARE = 0.2
 """[of the largest displacement] Skin that moves less does not count for the plane of symmetry."""
 
@@ -188,7 +191,12 @@ class FaceSkin:
     sagittal_x: float
     """Offset of the plane of symmetry along its normal, the X axis [mm]."""
     size_mm: float
-    """Root mean square radius of the moving part; 55 on an adult's face."""
+    """Root mean square radius of the moving part."""
+
+    @property
+    def unit(self) -> float:
+        """Size of the face over an adult's, a factor of lengths that are stated on an adult's."""
+        return self.size_mm / TYPICAL_SIZE_MM
 
     def activity(self) -> FloatArray:
         """Return the root of the summed squared displacements of each sample: (samples,) [mm]."""
@@ -223,15 +231,12 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
     skin = sample_outer_surface(points, triangles, facing=facing, activity=activity)
     corners, shares = skin.corners, skin.weights
     positions = skin.positions @ frame.T
-    sides = points[corners]
-    normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]) @ frame.T
+    normals = triangle_normals(points, corners) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
     by_axis = np.ascontiguousarray(np.moveaxis(deltas_at(matrix, corners, shares), 2, 1))
     deltas = np.moveaxis((frame @ by_axis).astype(np.float32), 1, 2)
     moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
-    weight = moved / moved.sum()
-    radius = np.sqrt(weight @ ((positions - weight @ positions) ** 2).sum(axis=1))
     return FaceSkin(
         corners,
         shares,
@@ -241,7 +246,7 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
         skin.areas,
         deltas,
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
-        float(radius),
+        rms_radius(positions, moved),
     )
 
 

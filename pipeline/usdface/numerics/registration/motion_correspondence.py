@@ -43,10 +43,10 @@ def place_by_motion(
     skin: FloatArray,
     alignment: Alignment,
     *,
-    skin_deltas: Float32Array | None = None,
-    motion: FloatArray | None = None,
-    ranges: FloatArray | None = None,
-    pinned: dict[int, FloatArray] | None = None,
+    skin_deltas: Float32Array,
+    motion: FloatArray,
+    ranges: FloatArray,
+    pinned: dict[int, FloatArray],
 ) -> SkinPlacement:
     """Place each marker on a skin sample.
 
@@ -57,23 +57,22 @@ def place_by_motion(
     skin : (samples, 3) float array
     alignment : Alignment
         Initial guess, accurate to about a tenth of the face's size.
-    skin_deltas : (shapes, samples, 3) float array, optional
+    skin_deltas : (shapes, samples, 3) float array
         Displacements of the skin by each shape at 1.
-    motion : (frames, markers, 3) float array, optional
-        Displacements from `cloud`, in the performer's space.
-    ranges : (shapes, 2) float array, optional
+    motion : (frames, markers, 3) float array
+        Displacements from `cloud`, in the performer's space; without frames, shape alone counts.
+    ranges : (shapes, 2) float array
         Limits of the shapes' weights.
-    pinned : dict of int to (3,) float array, optional
+    pinned : dict of int to (3,) float array
         Known places of markers.
     """
     size = rms_radius(skin)
-    pins = pinned or {}
     warped = alignment.apply(cloud)
     for radius in _SEARCH_RADII:
         away = cdist(warped, skin, "sqeuclidean") / (2 * (radius * size) ** 2)
         chosen = away.argmin(axis=1)
         target, variance = skin[chosen], np.full(len(cloud), (_SHAPE_DEVIATION * size) ** 2)
-        if skin_deltas is not None and motion is not None and ranges is not None:
+        if len(motion):
             paths = alignment.apply_to_motion(motion)
             weights = solve_bounded_least_squares(
                 skin_deltas[:, chosen].reshape(len(ranges), -1).T,
@@ -91,7 +90,7 @@ def place_by_motion(
                 1 / variance + 1 / moved_variance
             )[:, None]
             variance = 1 / (1 / variance + 1 / moved_variance)
-        for marker, place in pins.items():
+        for marker, place in pinned.items():
             chosen[marker] = ((skin - place) ** 2).sum(axis=1).argmin()
             target[marker], variance[marker] = place, 1e-6
         squared = ((alignment.apply(cloud) - target) ** 2).sum(axis=1)

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, rms_radius
 
 _UP = np.array([0.0, 1.0, 0.0])
 _FEWEST_PAIRS = 3
@@ -31,8 +31,6 @@ class SagittalPlane:
     """(3,): unit vector, towards the performer's left if labels name sides, else either side."""
     offset: float
     """[mm]"""
-    deviation_mm: float
-    """Median distance between a marker and its mirrored partner."""
 
     def mirrored(self, points: FloatArray) -> FloatArray:
         """Return points reflected in the plane."""
@@ -76,7 +74,7 @@ def plane_of_pairs(
     across = left - right
     centres = np.concatenate([(left + right) / 2, on_plane])
     pair_weight, middle_weight = np.ones(len(pairs)), np.ones(len(middle))
-    plane = SagittalPlane(_UP, 0.0, np.inf)
+    plane = SagittalPlane(_UP, 0.0)
     for _ in range(rounds):
         weight = np.concatenate([pair_weight, _MIDDLE_WEIGHT * middle_weight])
         mean = weight @ centres / weight.sum()
@@ -84,10 +82,9 @@ def plane_of_pairs(
         spread -= across.T @ (pair_weight[:, None] * across) / 4
         normal = np.linalg.eigh(spread)[1][:, 0]
         normal *= 1.0 if normal @ across.sum(axis=0) > 0 else -1.0
-        plane = SagittalPlane(normal, float(normal @ mean), 0.0)
+        plane = SagittalPlane(normal, float(normal @ mean))
         away = np.linalg.norm(right - plane.mirrored(left), axis=1)
-        plane = SagittalPlane(normal, plane.offset, float(np.median(away)))
-        scale = 1.5 * plane.deviation_mm + 0.5  # [mm], at least the accuracy of markers
+        scale = 1.5 * np.median(away) + 0.5  # [mm], at least the accuracy of markers
         pair_weight = 1 / (1 + (away / scale) ** 2)
         middle_weight = 1 / (1 + ((on_plane @ normal - plane.offset) / (scale / 2)) ** 2)
     return plane
@@ -105,7 +102,7 @@ def plane_by_reflection(points: FloatArray) -> SagittalPlane:
         At rest, Y roughly up [mm].
     """
     centre = points.mean(axis=0)
-    tolerance = _TOLERANCE_SHARE * float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+    tolerance = _TOLERANCE_SHARE * rms_radius(points)
     tree = KDTree(points)
     candidates = []
     for yaw in np.deg2rad(_YAWS_DEGREES):
@@ -129,7 +126,7 @@ def _nearest_refined(
     points: FloatArray, tree: KDTree, normal: FloatArray, centre: FloatArray, tolerance: float
 ) -> tuple[float, SagittalPlane]:
     """Refine a plane three times by nearest mirror images; return its truncated cost too."""
-    plane = SagittalPlane(normal, float(normal @ centre), np.inf)
+    plane = SagittalPlane(normal, float(normal @ centre))
     cost = np.inf
     for _ in range(3):
         away, near = tree.query(plane.mirrored(points))

@@ -1,6 +1,7 @@
 """Place a levelled marker cloud on the skin of a face, by landmarks, skin and motion.
 
-All positions are in the face's frame (`face_skin`). The place of each marker has these priors:
+All positions are in the face's frame (`face_skin`); lengths in mm below are on an adult's face. The
+place of each marker has these priors:
 
 * its landmark, with the standard deviation of such markers and Cauchy tails beyond 2.5 of them;
 * the skin: small variance along its normal, large along the skin;
@@ -24,9 +25,6 @@ from usdface.numerics.solve.bounded_least_squares import (
     minimise_within_bounds,
     solve_bounded_least_squares,
 )
-
-TYPICAL_SIZE_MM = 55.0
-"""Root mean square radius of an adult's moving face: lengths in mm below are on such a face."""
 
 _REACHES_MM = (14.0, 12.0, 10.0, 9.0, 8.0, 7.0, 6.0, 5.5, 5.0, 4.5, 4.0, 4.0)
 """Standard deviation of a marker about its place in the search by motion, round by round."""
@@ -109,11 +107,11 @@ def place_on_skin(
     fit: Alignment,
     *,
     landmarks: Sequence[KnownPlace],
-    motion: FloatArray | None,
+    motion: FloatArray,
     ranges: FloatArray,
     still: BoolArray,
-    middle: Sequence[int] = (),
-    skin_share: float = 1.0,
+    middle: Sequence[int],
+    skin_share: float,
 ) -> SkinPlacement:
     """Choose a sample of the skin for every marker.
 
@@ -125,8 +123,8 @@ def place_on_skin(
         Initial fit.
     landmarks : sequence of KnownPlace
         The markers of one are moved together, and weigh as a single marker.
-    motion : (frames, markers, 3) float array, optional
-        Displacements in the levelled space, of distinct frames [mm].
+    motion : (frames, markers, 3) float array
+        Displacements in the levelled space, of distinct frames, perhaps none [mm].
     ranges : (shapes, 2) float array
     still : (markers,) bool array
         Markers whose motion is ignored: on the skull, or never visible.
@@ -136,10 +134,10 @@ def place_on_skin(
         Factor on the precision of the skin: less than 1 for clouds so dense that neighbours have
         the same error.
     """
-    unit = skin.size_mm / TYPICAL_SIZE_MM
+    unit = skin.unit
     aligned = fit.apply(levelled)
     tree = KDTree(skin.positions)
-    paths = None if motion is None else to_character(motion, fit)
+    paths = to_character(motion, fit)
     warped = aligned.copy()
     weights = None
     named = len(landmarks) >= _FEWEST_LANDMARKS
@@ -162,7 +160,7 @@ def place_on_skin(
             landmark_precision = 1 / (len(rows) * known.spread_mm**2) / (1 + deviations**2)
             precision[rows] += landmark_precision
             target[rows] += landmark_precision * (warped[rows] + step)
-        if paths is not None and (number >= 3 or not named):
+        if len(paths) and (number >= 3 or not named):
             weights = solve_weights_at(skin, near, paths, ranges, start=weights)
             misfit = path_misfit(skin.deltas, weights, paths)
             place, motion_precision = _place_by_motion(skin, warped, misfit, still, reach * unit)
@@ -170,7 +168,7 @@ def place_on_skin(
             target += motion_precision[:, None] * place
         warped = _warp(aligned, target / precision, precision, skin)
     samples = np.asarray(tree.query(warped)[1])
-    if paths is not None:
+    if len(paths):
         prior = cdist(warped, skin.positions, "sqeuclidean") / (2 * (_SETTLE_REACH_MM * unit) ** 2)
         prior[prior > _SETTLE_LIMIT**2 / 2] = np.inf
         prior += central[:, None] * off_centre**2 / 2

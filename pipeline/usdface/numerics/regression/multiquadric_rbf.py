@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, nearest_distances
 from usdface.numerics.regression.rbf_ridge import (
     choose_ridge,
     evaluate_network,
@@ -37,8 +37,7 @@ def nearest_softness(centres: FloatArray) -> FloatArray:
     """Return each centre's distance to the nearest other centre that does not coincide with it."""
     from scipy.spatial.distance import cdist  # imported late: it takes half a second
 
-    distances = cdist(centres, centres)
-    nearest = np.asarray(np.where(distances > 0, distances, np.inf).min(axis=1))
+    nearest = nearest_distances(cdist(centres, centres))
     if not np.isfinite(nearest).all():
         raise ValueError(f"all {len(centres)} centres coincide; no distance between them")
     return nearest

@@ -78,8 +78,8 @@ def fill_missing(model: LowRankModel, positions: RealArray, good: BoolArray) -> 
     for count in np.unique(missing_counts[missing_counts > 0]).tolist():
         step = max(1, _MATRIX_ENTRIES // (3 * count * max(3 * count, len(model.variances))))
         frames = np.flatnonzero(missing_counts == count)
-        for start in range(0, len(frames), min(step, _CHUNK_FRAMES)):
-            rows = frames[start : start + min(step, _CHUNK_FRAMES)]
+        for block in frame_blocks(len(frames), frames=min(step, _CHUNK_FRAMES)):
+            rows = frames[block]
             missing = np.nonzero(~good[rows])[1].reshape(len(rows), count)
             filled[rows[:, None], missing] = _expected(model, positions[rows], missing)
     return filled

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray, IntArray, sample_frames
+from usdface.core.arrays import FloatArray, IntArray, frame_blocks, sample_frames
 from usdface.numerics.motion.noise import measurement_noise
 
 _SAMPLE_FRAMES = 1500
@@ -126,9 +126,8 @@ def _candidate_orders(
     added = np.tril(deviations[np.ix_(eliminated, eliminated)]).sum(axis=1)
     orders = [eliminated[None]]
     errors = [_rotation_errors(eliminated[None], added[None], middle, noise)]
-    for start in range(0, count, _SEEDS_AT_ONCE):
-        seeds = np.arange(start, min(start + _SEEDS_AT_ONCE, count))
-        selected, added = _select_forward(deviations, seeds)
+    for seeds in frame_blocks(count, frames=_SEEDS_AT_ONCE):
+        selected, added = _select_forward(deviations, np.arange(count)[seeds])
         orders.append(selected)
         errors.append(_rotation_errors(selected, added, middle, noise))
     return np.concatenate(orders), np.concatenate(errors)

@@ -34,8 +34,14 @@ def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray
 
 def triangle_areas(points: FloatArray, triangles: IntArray) -> FloatArray:
     """Return the area of each triangle, in the points' unit squared."""
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    return np.asarray(0.5 * np.linalg.norm(triangle_normals(points, triangles), axis=1))
+
+
+def triangle_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Return the normal of each triangle, twice its area long: (triangles, 3)."""
+    # Twice as fast as an index
+    a, b, c = (np.take(points, triangles[:, k], axis=0) for k in range(3))
+    return np.asarray(np.cross(b - a, c - a))
 
 
 def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
@@ -79,9 +85,7 @@ def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) ->
     (points, 3) float array
         Zero for points without a triangle of positive area.
     """
-    # Twice as fast as an index
-    a, b, c = (np.take(points, triangles[:, k], axis=0) for k in range(3))
-    summed = np.asarray(operator @ np.cross(b - a, c - a))
+    summed = np.asarray(operator @ triangle_normals(points, triangles))
     length = row_lengths(summed)
     return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))
 

@@ -17,6 +17,7 @@ from usdface.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
+    frame_blocks,
 )
 
 _SHORTEST_BASE = 0.3
@@ -96,9 +97,8 @@ def _distances_to_best(
     slopes = np.concatenate([np.zeros(len(x)), slopes[possible]])
     best = -1.0
     nearest = np.zeros(len(x))
-    for start in range(0, len(through), _PAIRS_AT_ONCE):
-        point = through[start : start + _PAIRS_AT_ONCE, None]
-        slope = slopes[start : start + _PAIRS_AT_ONCE, None]
+    for pairs in frame_blocks(len(through), frames=_PAIRS_AT_ONCE):
+        point, slope = through[pairs, None], slopes[pairs, None]
         distance = np.abs(y - y[point] - slope * (x - x[point]))
         # Near points weigh more (MSAC, Torr and Zisserman 2000), or a tilt that includes one more
         # point would win.

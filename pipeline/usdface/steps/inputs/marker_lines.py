@@ -11,7 +11,6 @@ from usdface.core.deformer import Deformer
 from usdface.model.placement.marker_rows import rows_by_label, rows_by_place
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 
 _LEAST_KNOWN = 0.8
 """Share of the landmarks in rows above which a take is one of `track`."""
@@ -44,8 +43,7 @@ def lines_on_rig(
     except ValueError:  # no skin that shapes move
         return by_label
     places = equation.virtual.places(deformer.neutral) @ skin.frame.T
-    unit = skin.size_mm / TYPICAL_SIZE_MM
-    return _lines(rows_by_place(places, find_landmarks(skin, shapes), unit=unit))
+    return _lines(rows_by_place(places, find_landmarks(skin, shapes), unit=skin.unit))
 
 
 def _lines(rows: Sequence[IntArray]) -> IntArray:

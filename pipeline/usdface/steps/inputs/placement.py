@@ -26,7 +26,6 @@ from usdface.model.selection.baseline import (
 )
 from usdface.model.surface.binding import bind_at
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
-from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
 from usdface.numerics.surface.surface_places import places_of_corners
@@ -138,12 +137,7 @@ class PlacementScene:
         virtual = virtual_markers(placement, names, cloud.neutral[rows])
         sources = [placement.binding.sources[row_of[name]] for name in names]
         verdict = judge_placement(
-            MarkerCloud(
-                names,
-                cloud.neutral[rows],
-                None if cloud.motion is None else cloud.motion[:, rows],
-                cloud.still[rows],
-            ),
+            MarkerCloud(names, cloud.neutral[rows], cloud.motion[:, rows], cloud.still[rows]),
             self._skin,
             self._rig.shapes,
             virtual,
@@ -155,7 +149,7 @@ class PlacementScene:
         return PlacedTakes(
             replace(placement, explained=verdict.explained),
             verdict,
-            self._skin.size_mm / TYPICAL_SIZE_MM,
+            self._skin.unit,
         )
 
 
