@@ -6,8 +6,6 @@ Tipping and Bishop (1999), Probabilistic principal component analysis, JRSS B 61
 missing entries by expectation-maximisation.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import linalg
 
@@ -21,6 +19,7 @@ from usdface.core.arrays import (
     sample_frames,
 )
 from usdface.numerics.motion.noise import marker_noise
+from usdface.numerics.regression.pca import sum_moments
 from usdface.numerics.repair.first_fill import FOLD_COUNT, STRETCH_COUNT, first_fill
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 from usdface.numerics.repair.outliers import find_spikes
@@ -84,22 +83,21 @@ def fit_low_rank(
         filled = first_fill(sample, trusted)
     else:
         trusted, filled = usable, fill_missing(start, sample, usable)
-    moments = _Moments.of(filled)
     model = start
     for number in range(_EM_ROUNDS if start is None else _EM_ROUNDS_CONTINUED):
         if number or model is None:
-            model = _model(moments, filled, trusted, sensor_noise, rank_limit)
+            model = _model(filled, trusted, sensor_noise, rank_limit)
         incomplete = np.asarray(~trusted.all(axis=1))
-        moved = _refill(moments, filled, sample, trusted, model, incomplete)
+        moved = _refill(filled, sample, trusted, model, incomplete)
         # Outliers are excluded, and tested again in the next round.
         distance = distances(sample, predict_from_others(model, filled))
         before, trusted = trusted, usable & ~_outliers(distance, usable, sensor_noise)
         changed = (trusted != before).any(axis=1)
-        _refill(moments, filled, sample, trusted, model, changed)
+        _refill(filled, sample, trusted, model, changed)
         reestimated = number > 0 or start is None
         if reestimated and not changed.any() and moved < settled:
             break
-    return _model(moments, filled, trusted, sensor_noise, rank_limit)
+    return _model(filled, trusted, sensor_noise, rank_limit)
 
 
 def choose_rank(
@@ -137,7 +135,7 @@ def choose_rank(
         if test.all() or not seen[test].any():  # nothing to compare with
             continue
         known = filled[~test]
-        widest = _model(_Moments.of(known), known, seen[~test], sensor_noise, candidates[-1])
+        widest = _model(known, seen[~test], sensor_noise, candidates[-1])
         for i, rank in enumerate(candidates):
             model = with_rank(widest, rank)
             away = distances(filled[test], predict_from_others(model, filled[test]))
@@ -153,62 +151,32 @@ def with_rank(model: LowRankModel, rank: int) -> LowRankModel:
     return LowRankModel(model.mean, model.components[:rank], model.variances[:rank], noise)
 
 
-@dataclass
-class _Moments:
-    """First and second moments over frames, updated where frames change.
+def _principal(
+    filled: RealArray, limit: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return principal components of complete frames (frames, markers, 3) about their mean.
 
-    With fewer frames than coordinates the Gram matrix of the frames is the smaller one, and is
-    computed on demand.
+    Returns
+    -------
+    mean : (markers * 3,) float array
+    values : (limit,) float array
+        Sums of squares along the components, descending.
+    components : (limit, markers * 3) float array
+    squares : (markers * 3,) float array
+        Sums of squares of each coordinate.
     """
-
-    filled: RealArray
-    """(frames, markers, 3)"""
-    center: FloatArray
-    total: FloatArray
-    products: FloatArray | None
-
-    @classmethod
-    def of(cls, filled: RealArray) -> "_Moments":
-        flat = filled.reshape(len(filled), -1)
-        center = flat[:: max(1, len(flat) // 256)].mean(axis=0, dtype=np.float64)
-        few = len(flat) < len(center)
-        products = None if few else np.zeros((len(center),) * 2)
-        moments = cls(filled, center, np.zeros(len(center)), products)
-        moments.add(flat)
-        return moments
-
-    def add(self, flat: RealArray, sign: float = 1.0) -> None:
-        """Add frames, or with `sign` -1 remove them."""
-        for block in frame_blocks(len(flat), frames=_CHUNK_FRAMES):
-            centered = flat[block].astype(np.float64) - self.center
-            self.total += sign * centered.sum(axis=0)
-            if self.products is not None:
-                self.products += sign * (centered.T @ centered)
-
-    def mean(self) -> FloatArray:
-        return self.center + self.total / len(self.filled)
-
-    def principal(self, limit: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return principal components about the mean.
-
-        Returns
-        -------
-        values : (limit,) float array
-            Sums of squares along the components, descending.
-        components : (limit, markers * 3) float array
-        squares : (markers * 3,) float array
-            Sums of squares of each coordinate.
-        """
-        if self.products is not None:
-            scatter = self.products - np.outer(self.total, self.total / len(self.filled))
-            values, vectors = _largest(scatter, limit)
-            return values, vectors.T, np.diag(scatter)
-        centered = self.filled.reshape(len(self.filled), -1) - self.mean()
-        values, vectors = _largest(centered @ centered.T, limit)
-        spread = vectors.T @ centered
-        length = np.linalg.norm(spread, axis=1, keepdims=True)
-        components = spread / np.maximum(length, np.finfo(float).tiny)
-        return values, components, np.einsum("fi,fi->i", centered, centered)
+    flat = filled.reshape(len(filled), -1)
+    if len(flat) >= flat.shape[1]:
+        moments = sum_moments([flat])
+        values, vectors = _largest(moments.scatter, limit)
+        return moments.mean, values, vectors.T, np.diag(moments.scatter)
+    mean = flat.mean(axis=0, dtype=np.float64)
+    centered = flat - mean
+    values, vectors = _largest(centered @ centered.T, limit)  # the smaller matrix
+    spread = vectors.T @ centered
+    length = np.linalg.norm(spread, axis=1, keepdims=True)
+    components = spread / np.maximum(length, np.finfo(float).tiny)
+    return mean, values, components, np.einsum("fi,fi->i", centered, centered)
 
 
 def _largest(matrix: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -219,42 +187,25 @@ def _largest(matrix: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _refill(
-    moments: _Moments,
-    filled: RealArray,
-    sample: RealArray,
-    trusted: BoolArray,
-    model: LowRankModel,
-    which: BoolArray,
+    filled: RealArray, sample: RealArray, trusted: BoolArray, model: LowRankModel, which: BoolArray
 ) -> float:
     """Fill some frames again, in place; return the RMS change of filled samples [mm]."""
     rows = np.flatnonzero(which)
-    if not rows.size:
-        return 0.0
     before, ok = filled[rows], trusted[rows]
     filled[rows] = fill_missing(model, sample[rows], ok)
-    if 2 * len(rows) < len(filled):
-        moments.add(before.reshape(len(rows), -1), -1.0)
-        moments.add(filled[rows].reshape(len(rows), -1))
-    else:
-        new = _Moments.of(filled)
-        moments.center, moments.total, moments.products = new.center, new.total, new.products
     moved = distances(filled[rows], before)[~ok]
     return float(np.sqrt(np.mean(moved**2))) if moved.size else 0.0
 
 
 def _model(
-    moments: _Moments,
-    filled: RealArray,
-    trusted: BoolArray,
-    sensor_noise: FloatArray,
-    rank_limit: int,
+    filled: RealArray, trusted: BoolArray, sensor_noise: FloatArray, rank_limit: int
 ) -> LowRankModel:
     """Return the model of complete frames: principal components above the noise."""
     frames, markers = trusted.shape
-    mean, freedom = moments.mean(), max(frames - 1, 1)
+    freedom = max(frames - 1, 1)
     affordable = max(frames // _FRAMES_PER_DIRECTION, _LEAST_RANK_LIMIT)
     limit = min(rank_limit, affordable, max(frames - 2, 1))
-    values, components, squares = moments.principal(limit)
+    mean, values, components, squares = _principal(filled, limit)
     values = values / freedom
     floor = float(np.median(sensor_noise)) ** 2
     # Eigenvalues of pure noise reach (1 + sqrt(p / n))^2 times its variance (Marchenko-Pastur).
