@@ -13,7 +13,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.deformer import Deformer
 from usdface.model.selection.baseline import BlendshapeEquation, Positions
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
-from usdface.numerics.measure.performance_error import LipPairs, find_lip_pairs
+from usdface.numerics.measure.performance_error import LipPairs, find_lip_pairs, gap_of_keys
 
 NEAR_LIPS_MM = 15.0
 """Largest distance of a lip marker from the line of contact."""
@@ -72,8 +72,7 @@ def find_lips(
     across = places - np.outer(places @ pairs.direction, pairs.direction)
     partner = np.linalg.norm(across[below][:, None] - across[above][None], axis=2).argmin(axis=1)
     columns = np.union1d(regions["mouth"], regions.get("jaw", np.zeros(0, np.int64)))
-    moves = np.array([offsets[[int(s)]].toarray().reshape(-1, 3) for s in columns])
-    opening = ((moves[:, pairs.upper] - moves[:, pairs.lower]) @ pairs.direction).mean(axis=1)
+    opening = gap_of_keys(pairs, offsets)[columns]
     return Lips(pairs, above[partner], below, columns.astype(np.int64), opening)
 
 
@@ -124,9 +123,5 @@ def keep_lip_contact(
 
 def lip_gap_mm(deformer: Deformer, lips: Lips, weights: FloatArray) -> FloatArray:
     """Return the lips' distance beyond that of the neutral face: (frames,) [mm]."""
-    gaps = np.empty(len(weights))
-    for index in range(len(weights)):  # one at a time: a head is tens of thousands of points
-        points = deformer.points(weights[index : index + 1])[0]
-        away = (points[lips.pairs.upper] - points[lips.pairs.lower]) @ lips.pairs.direction
-        gaps[index] = away.mean() - lips.pairs.rest_mm
-    return gaps
+    shapes = deformer.shapes
+    return shapes.key_weights(weights) @ gap_of_keys(lips.pairs, shapes.key_offsets)
