@@ -20,7 +20,8 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.retarget.shape_names import read_meanings
-from usdface.numerics.rigid.rigid_alignment import optimal_rotations, pose_matrices
+from usdface.numerics.registration.cloud_alignment import fit_similarity
+from usdface.numerics.rigid.rigid_alignment import pose_matrices
 
 HEAD = "head"
 EYES = ("left_eye", "right_eye")
@@ -145,8 +146,7 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
     It aligns the centres of the displacements of each shape, on the performer (by the mapping's
     forward model) and on the rig. Centres are weighted by squared displacements, since the model
     has small displacements everywhere, which would draw plain means together. Shapes are weighted
-    by their displacement of the performer. The scale is the symmetric one of Horn (1987, J. Opt.
-    Soc. Am. A 4, 629-642).
+    by their displacement of the performer.
     """
     on_face = (mapping.arrays["forward_basis"] ** 2).sum(axis=2)[: len(mapping.shape_names)]
     deformer = Deformer(rig)
@@ -159,15 +159,9 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
         size[both] @ places / size[both].sum(axis=1, keepdims=True)
         for size, places in ((on_face, mapping.neutral), (on_rig, deformer.neutral))
     )
-    weight = np.sqrt(on_face[both].sum(axis=1))
-    means = [np.average(each, axis=0, weights=weight) for each in (face, character)]
-    source, target = face - means[0], character - means[1]
-    covariance = (weight[:, None] * target).T @ source
-    rotations, _ = optimal_rotations(covariance[None], rank_tolerance=1e-9)
-    scale = np.sqrt((weight @ target**2).sum() / (weight @ source**2).sum())
+    fit = fit_similarity(face, character, weight=np.sqrt(on_face[both].sum(axis=1)))
     onto = np.eye(4)
-    onto[:3, :3] = scale * rotations[0]
-    onto[:3, 3] = means[1] - onto[:3, :3] @ means[0]
+    onto[:3, :3], onto[:3, 3] = fit.scale[0] * fit.rotation, fit.translation
     return onto
 
 

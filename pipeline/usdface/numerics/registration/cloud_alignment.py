@@ -89,8 +89,8 @@ def align_landmarks(cloud: FloatArray, targets: FloatArray) -> Alignment:
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= 0.02 * spread[0]:
             raise ValueError(f"the landmarks' {where} lie on a line or coincide; add one off it")
-    u, s, vt = np.linalg.svd(xc.T @ yc)
-    sign = float(np.sign(np.linalg.det(u @ vt)))
+    cross = xc.T @ yc
+    s, sign = np.linalg.svd(cross, compute_uv=False), float(np.sign(np.linalg.det(cross)))
     proper = s @ np.array([1, 1, sign])
     total = float((xc**2).sum() * (yc**2).sum())
     error, mirrored = 1 - proper**2 / total, 1 - s.sum() ** 2 / total
@@ -98,12 +98,7 @@ def align_landmarks(cloud: FloatArray, targets: FloatArray) -> Alignment:
         raise ValueError(
             "the landmarks fit only a mirrored face; check that left and right are not exchanged"
         )
-    rotation = u @ np.diag([1, 1, sign]) @ vt
-    scale = np.full(3, np.sqrt((xc**2).sum() / (yc**2).sum()))
-    translation = targets.mean(axis=0) - scale * (rotation @ cloud.mean(axis=0))
-    residual = scale * (cloud @ rotation.T) + translation - targets
-    residual_mm = float(np.sqrt((residual**2).sum(axis=1).mean()))
-    return Alignment(scale, rotation, translation, residual_mm)
+    return fit_similarity(cloud, targets, weight=np.ones(len(cloud)))
 
 
 def align_cloud(
@@ -159,13 +154,28 @@ def align_cloud(
     return min(ends, key=lambda end: end.residual_mm)
 
 
+def fit_similarity(cloud: FloatArray, targets: FloatArray, *, weight: FloatArray) -> Alignment:
+    """Fit rotation, translation and scale to corresponding points (n, 3), weighted.
+
+    The scale is the symmetric one of Horn (1987, J. Opt. Soc. Am. A 4, 629-642).
+    """
+    fit = _fit(cloud, targets, weight, UNMOVED, proportions=False)
+    return _with_residual(fit, cloud, targets, weight)
+
+
 def align_pairs(cloud: FloatArray, targets: FloatArray, *, weight: FloatArray) -> Alignment:
     """Fit rotation, translation and one scale per axis to corresponding points (n, 3), weighted."""
     now = _fit(cloud, targets, weight, UNMOVED, proportions=False)
     for _ in range(5):
         now = _fit(cloud, targets, weight, now, proportions=True)
-    squared = ((now.apply(cloud) - targets) ** 2).sum(axis=1)
-    return replace(now, residual_mm=float(np.sqrt(np.average(squared, weights=weight))))
+    return _with_residual(now, cloud, targets, weight)
+
+
+def _with_residual(
+    fit: Alignment, cloud: FloatArray, targets: FloatArray, weight: FloatArray
+) -> Alignment:
+    squared = ((fit.apply(cloud) - targets) ** 2).sum(axis=1)
+    return replace(fit, residual_mm=float(np.sqrt(np.average(squared, weights=weight))))
 
 
 class _Skin:
