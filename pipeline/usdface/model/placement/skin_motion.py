@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    rms_radius,
+    sample_frames,
+)
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 
 _FLAT_RATIO = 0.75
@@ -57,13 +64,13 @@ class SkinMotion:
         known = seen.sum(axis=0) > 0
         middle = np.median(still, axis=0)
         away = (still - middle)[seen]
-        radius = float(np.sqrt(((middle - middle[known].mean(axis=0))[known] ** 2).sum(1).mean()))
         return cls(
             speeds,
             alignment.rotations,
             _flattest(middle[known]),
             _main_axis(away),
-            float(np.sqrt((away**2).sum(axis=1).mean())) > _ARTICULATED_SHARE * radius,
+            float(np.sqrt((away**2).sum(axis=1).mean()))
+            > _ARTICULATED_SHARE * rms_radius(middle[known]),
         )
 
     def height(self, axis: FloatArray) -> float:

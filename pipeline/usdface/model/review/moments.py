@@ -17,6 +17,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.model.review.verdict import SolveEvidence
+from usdface.numerics.regression.cross_validation import surface_errors_mm
 
 MOMENT_SECONDS = 0.25
 """Minimum distance of two moments: about the duration of a blink or a plosive."""
@@ -166,5 +167,4 @@ def region_distances(off: FloatArray, grams: FloatArray) -> FloatArray:
     grams : (regions, shapes, shapes) float array
         [mm^2]
     """
-    squared = [np.einsum("fs,fs->f", off @ gram, off) for gram in grams]
-    return np.asarray(np.sqrt(np.maximum(np.stack(squared, axis=1), 0.0)))
+    return np.stack([surface_errors_mm(off, gram) for gram in grams], axis=1)

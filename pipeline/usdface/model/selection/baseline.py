@@ -5,6 +5,7 @@ reports.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -124,7 +125,6 @@ class BlendshapeEquation:
         fixed = [] if self.lids is None else list(self.lids.fixed)
         limits[fixed] = np.clip(0.0, limits[fixed, 0], limits[fixed, 1])[:, None]
         full = range_ends(self.ranges)  # the ridge is for weights of 1 where a shape is full
-        keys = self.keys
         solution = solve_weights(
             self.deltas * full[:, None, None],
             motion * self.gain[:, None],
@@ -132,7 +132,7 @@ class BlendshapeEquation:
             visible=visible,
             marker_trust=self.trust,
             ridge=PROPOSAL_RIDGE,
-            keys=replace(keys, key_weights=lambda shares: keys.key_weights(shares * full)),
+            keys=replace(self.keys, key_weights=partial(_full_key_weights, self.keys, full)),
             noise_mm=self.noise_mm,
             tied=() if self.lids is None else self.lids.tied,
         )
@@ -158,8 +158,12 @@ class BlendshapeEquation:
 
     def _moved(self, weights: FloatArray) -> FloatArray:
         """Return displacements of the virtual markers, including in-betweens."""
-        keys = self.keys.key_weights(weights)
-        return np.asarray(np.einsum("fk,kmc->fmc", keys, self.keys.deltas, optimize=True))
+        return self.keys.move(self.keys.key_weights(weights))
+
+
+def _full_key_weights(keys: MarkerKeys, full: FloatArray, shares: FloatArray) -> FloatArray:
+    """Return the weights of keys, in a form that can be pickled."""
+    return keys.key_weights(shares * full)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import MotionSpace
 from usdface.numerics.measure.face_regions import shapes_by_region
+from usdface.numerics.regression.cross_validation import surface_rms_mm
 from usdface.numerics.regression.reference_design import (
     Design,
     DesignKernel,
@@ -334,9 +335,7 @@ def proposal_error_mm(
     """Return the RMS error of proposals predicted from some frames [mm]."""
     kernel = DesignKernel.for_rows(proposals.features)
     predicted = predict_from(kernel, features, weights, proposals.features)
-    error = predicted - proposals.weights
-    squared = ((error @ proposals.gram) * error).sum(axis=1)
-    return float(np.sqrt(np.maximum(squared, 0.0).mean()))
+    return surface_rms_mm(predicted - proposals.weights, proposals.gram)
 
 
 def rank_by_information(features: Features, rows: IntArray, already: IntArray) -> IntArray:

@@ -49,6 +49,10 @@ class MarkerKeys:
     """Maps weights of shapes (frames, shapes) to weights of keys (frames, keys); piecewise linear.
     """
 
+    def move(self, key_weights: FloatArray) -> FloatArray:
+        """Return displacements by weights of keys: (frames, markers, 3) [mm]."""
+        return np.asarray(np.einsum("fk,kmc->fmc", key_weights, self.deltas, optimize=True))
+
 
 def solve_weights(
     deltas: ArrayLike,
@@ -247,7 +251,7 @@ def _relinearise(
         solved_with[rows] = state[changed]
         offset = here - slopes * now[rows][:, channels]
         part = problem.take(rows)
-        rest = part.motion - _predict_keys(keys, offset)
+        rest = part.motion - keys.move(offset)
         costs = _Prior(prior.ridge, prior.cost[rows])
         for group in equal_rows(slopes):
             bent = np.zeros_like(problem.deltas)
@@ -265,11 +269,7 @@ def _relinearise(
 def _predict(deltas: FloatArray, keys: MarkerKeys | None, weights: FloatArray) -> FloatArray:
     if keys is None:
         return np.asarray(np.einsum("fs,smc->fmc", weights, deltas, optimize=True))
-    return _predict_keys(keys, keys.key_weights(weights))
-
-
-def _predict_keys(keys: MarkerKeys, key_weights: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("fk,kmc->fmc", key_weights, keys.deltas, optimize=True))
+    return keys.move(keys.key_weights(weights))
 
 
 def _objective(
