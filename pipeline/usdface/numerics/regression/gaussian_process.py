@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.numerics.regression.linear_ridge import check_examples
 
 LINE_VARIANCE = 10.0
 OFFSET_VARIANCE = 100.0
@@ -224,8 +225,7 @@ def _check(
     variances: FloatArray,
     choices: Sequence[ProcessSettings],
 ) -> None:
-    if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
-        raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")
+    check_examples(features, outputs)
     if len(features) < 2:
         raise ValueError(f"a process needs at least 2 pairs, got {len(features)}")
     if variances.shape != (features.shape[1],) or not (variances > 0).all():

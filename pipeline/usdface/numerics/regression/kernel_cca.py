@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray
+from usdface.numerics.regression.linear_ridge import check_examples
 from usdface.numerics.regression.rbf_ridge import evaluate_network, gaussian_design
 
 Lines = Literal["published", "penalised"]
@@ -109,10 +110,7 @@ def fit_kernel_cca(
         Whether eq. 6 and 7 have the penalty of eq. 5, or are plain least squares.
     """
     S, T = np.asarray(sources, np.float64), np.asarray(targets, np.float64)
-    if S.ndim != 2 or T.ndim != 2 or len(S) != len(T) or len(S) < 2:
-        raise ValueError(f"{S.shape} sources and {T.shape} targets do not pair up")
-    if not (np.isfinite(S).all() and np.isfinite(T).all()):
-        raise ValueError("sources or targets hold values that are not finite")
+    check_examples(S, T)
     if not kappa > 0:
         raise ValueError(
             f"kappa must be positive, got {kappa}: without a penalty everything correlates"

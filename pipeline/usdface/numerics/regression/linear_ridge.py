@@ -30,18 +30,23 @@ class LinearRidge:
     """(n, s): output minus its leave-one-out prediction, at the chosen ridge."""
 
 
+def check_examples(inputs: FloatArray, outputs: FloatArray) -> None:
+    """Refuse examples of a regression that are not (n, d) and (n, s), or not finite."""
+    if inputs.ndim != 2 or outputs.ndim != 2 or len(inputs) != len(outputs):
+        raise ValueError(f"{inputs.shape} inputs and {outputs.shape} outputs do not pair up")
+    if not (np.isfinite(inputs).all() and np.isfinite(outputs).all()):
+        raise ValueError("inputs or outputs hold values that are not finite")
+
+
 def fit_linear_ridge(features: FloatArray, outputs: FloatArray) -> LinearRidge:
     """Fit with an unpenalised intercept; choose the ridge by leave-one-out error.
 
     The leave-one-out residual of row i is its residual over one minus its leverage, where the
     leverage is ``1/n + sum_k u_ik^2 s_k^2 / (s_k^2 + ridge)``: exact, without refitting.
     """
-    if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
-        raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")
+    check_examples(features, outputs)
     if len(features) < 2:
         raise ValueError(f"a line needs at least 2 rows, got {len(features)}")
-    if not (np.isfinite(features).all() and np.isfinite(outputs).all()):
-        raise ValueError("features or outputs hold values that are not finite")
     mean, intercept = features.mean(axis=0), outputs.mean(axis=0)
     left, singular, right = np.linalg.svd(features - mean, full_matrices=False)
     centred = outputs - intercept

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray, nearest_distances
+from usdface.numerics.regression.linear_ridge import check_examples
 from usdface.numerics.regression.rbf_ridge import (
     choose_ridge,
     evaluate_network,
@@ -70,10 +71,7 @@ def fit_multiquadric(
         interpolation: for pairs with noise.
     """
     C, Y = np.asarray(centres, np.float64), np.asarray(outputs, np.float64)
-    if C.ndim != 2 or Y.ndim != 2 or len(C) != len(Y):
-        raise ValueError(f"{C.shape} centres and {Y.shape} outputs do not pair up")
-    if not (np.isfinite(C).all() and np.isfinite(Y).all()):
-        raise ValueError("centres or outputs hold values that are not finite")
+    check_examples(C, Y)
     s = nearest_softness(C)
     design = multiquadric_design(C, C, s)
     if not smooth:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdface.core.arrays import FloatArray, first_smallest, frame_blocks
+from usdface.numerics.regression.linear_ridge import check_examples
 
 BLOCK_ROWS = 4096
 RIDGES_PER_DECADE = 8
@@ -213,10 +214,7 @@ def fit_rbf_ridge(
     ridge : float or (s,) float array, optional
         Penalty of squared coefficients; by default by `choose_ridge`.
     """
-    if centres.ndim != 2 or outputs.ndim != 2 or len(centres) != len(outputs):
-        raise ValueError(f"{centres.shape} centres and {outputs.shape} outputs do not pair up")
-    if not (np.isfinite(centres).all() and np.isfinite(outputs).all()):
-        raise ValueError("centres or outputs hold values that are not finite")
+    check_examples(centres, outputs)
     if widths.shape != (len(centres),) or not (widths > 0).all():
         raise ValueError(f"widths must be {len(centres)} positive numbers")
     rotated = rotate(gaussian_design(centres, centres, widths), outputs)

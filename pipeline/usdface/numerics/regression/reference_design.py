@@ -4,11 +4,13 @@ All designs are greedy and deterministic, with ties to the earlier frame. Frames
 part of the design. Memory is linear in the number of frames.
 """
 
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, first_largest
+from usdface.core.arrays import FloatArray, IntArray, first_largest, sample_frames
 
 KEY_VARIANCE = 1e-2
 """Variance of a tuned weight around the true one; the kernel's is of the order of 10."""
@@ -39,7 +41,7 @@ class DesignKernel:
         The squared width of the radial part is the frames' median squared distance.
         """
         mean_square = float(np.einsum("ij,ij->", rows, rows)) / len(rows)
-        some = rows[np.linspace(0, len(rows) - 1, min(len(rows), MEDIAN_ROWS)).astype(int)]
+        some = rows[sample_frames(len(rows), MEDIAN_ROWS)]
         squared = np.einsum("ij,ij->i", some, some)
         away = squared[:, None] + squared - 2 * some @ some.T
         median = float(np.median(away[np.triu_indices(len(some), 1)])) if len(some) > 1 else 1.0
@@ -143,22 +145,18 @@ def design_d_optimal(
     already : (n,) int array, optional
         Rows that are part of the design.
     """
-    free, start = _open_rows(features, count, already)
+    start = _known_rows(features, count, already)
     rows = np.column_stack([features, np.ones(len(features))])
     inverse = np.eye(rows.shape[1]) / _FIRST_INFORMATION
     leverage = np.einsum("ij,ij->i", rows, rows) / _FIRST_INFORMATION
-    chosen, gain = [], []
-    for turn in range(-len(start), count):
-        pick = int(start[turn]) if turn < 0 else _best(leverage, free)
-        if turn >= 0:
-            chosen.append(pick)
-            gain.append(float(leverage[pick]))
-        free[pick] = False
+
+    def add(pick: int) -> None:
         direction = inverse @ rows[pick]
         spread = 1.0 + float(rows[pick] @ direction)
-        inverse -= np.outer(direction, direction) / spread
-        leverage -= (rows @ direction) ** 2 / spread
-    return _design(chosen, gain)
+        inverse[:] -= np.outer(direction, direction) / spread
+        leverage[:] -= (rows @ direction) ** 2 / spread
+
+    return _choose_greedily(leverage, count, start, add)
 
 
 def design_k_centre(
@@ -180,30 +178,23 @@ def design_k_centre(
     ----------
     Gonzalez (1985), Theoretical Computer Science 38, 293-306.
     """
-    free, start = _open_rows(features, count, already)
+    start = _known_rows(features, count, already)
     squared = np.einsum("ij,ij->i", features, features)
 
     def distance_to(point: FloatArray) -> FloatArray:
         away = squared - 2.0 * (features @ point) + float(point @ point)
         return np.asarray(np.maximum(away, 0.0))
 
+    if count and not len(start):
+        first = first_largest(distance_to(features.mean(axis=0)))
+        rest = design_k_centre(features, count - 1, already=np.array([first], np.int64))
+        return Design(np.append(first, rest.chosen), np.append(np.inf, rest.gain))
     nearest = np.full(len(features), np.inf)
-    chosen, gain = [], []
-    for turn in range(-len(start), count):
-        if turn < 0:
-            pick = int(start[turn])
-        elif np.isinf(nearest).all():
-            from_mean = distance_to(features.mean(axis=0))
-            pick = _best(from_mean, free)
-            chosen.append(pick)
-            gain.append(np.inf)
-        else:
-            pick = _best(nearest, free)
-            chosen.append(pick)
-            gain.append(float(nearest[pick]))
-        free[pick] = False
+
+    def add(pick: int) -> None:
         np.minimum(nearest, distance_to(features[pick]), out=nearest)
-    return _design(chosen, gain)
+
+    return _choose_greedily(nearest, count, start, add)
 
 
 def design_gp_variance(
@@ -229,22 +220,19 @@ def design_gp_variance(
     ----------
     Krause, Singh and Guestrin (2008), JMLR 9, 235-284.
     """
-    free, start = _open_rows(features, count, already)
+    start = _known_rows(features, count, already)
     kernel = DesignKernel.for_rows(features)
     variance = kernel.diagonal(features)
     factor = np.empty((len(start) + count, len(features)))
-    chosen, gain = [], []
-    for turn, row in enumerate(factor):
-        pick = int(start[turn]) if turn < len(start) else _best(variance, free)
-        if turn >= len(start):
-            chosen.append(pick)
-            gain.append(float(variance[pick]))
-        free[pick] = False
-        row[:] = kernel(features[pick : pick + 1], features)[0]
-        row -= factor[:turn, pick] @ factor[:turn]
-        row /= np.sqrt(max(float(variance[pick]), 0.0) + noise)
-        variance -= row**2
-    return _design(chosen, gain)
+    turns = itertools.count()
+
+    def add(pick: int) -> None:
+        turn = next(turns)
+        row = kernel(features[pick : pick + 1], features)[0] - factor[:turn, pick] @ factor[:turn]
+        factor[turn] = row / np.sqrt(max(float(variance[pick]), 0.0) + noise)
+        variance[:] -= factor[turn] ** 2
+
+    return _choose_greedily(variance, count, start, add)
 
 
 def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
@@ -277,13 +265,26 @@ def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
     return np.array(chosen, np.int64)
 
 
-def _best(score: FloatArray, free: BoolArray) -> int:
-    return first_largest(np.where(free, score, -np.inf))
+def _choose_greedily(
+    score: FloatArray, count: int, start: IntArray, add: Callable[[int], None]
+) -> Design:
+    """Choose the rows of the largest score one by one; `add` updates the score after each.
+
+    The rows of `start` are part of the design.
+    """
+    free, chosen, gain = np.ones(len(score), np.bool_), list[int](), list[float]()
+    for turn in range(-len(start), count):
+        pick = int(start[turn]) if turn < 0 else first_largest(np.where(free, score, -np.inf))
+        if turn >= 0:
+            chosen.append(pick)
+            gain.append(float(score[pick]))
+        free[pick] = False
+        add(pick)
+    return Design(np.array(chosen, np.int64), np.array(gain, np.float64))
 
 
-def _open_rows(
-    features: FloatArray, count: int, already: IntArray | None
-) -> tuple[BoolArray, IntArray]:
+def _known_rows(features: FloatArray, count: int, already: IntArray | None) -> IntArray:
+    """Return the rows that are part of the design, of checked arguments."""
     if features.ndim != 2 or not len(features):
         raise ValueError(f"features must be (frames, dimensions), got {features.shape}")
     if not np.isfinite(features).all():
@@ -292,12 +293,7 @@ def _open_rows(
     start = np.zeros(0, dtype=np.int64) if already is None else np.unique(already)
     if len(start) and not (0 <= start[0] and start[-1] < len(features)):
         raise ValueError(f"already names rows {start[0]} to {start[-1]} of {len(features)}")
-    free = np.ones(len(features), dtype=bool)
-    free[start] = False
-    if not 0 <= count <= int(free.sum()):
-        raise ValueError(f"cannot choose {count} of {int(free.sum())} frames that are free")
-    return free, start
-
-
-def _design(chosen: list[int], gain: list[float]) -> Design:
-    return Design(np.array(chosen, dtype=np.int64), np.array(gain, dtype=np.float64))
+    free = len(features) - len(start)
+    if not 0 <= count <= free:
+        raise ValueError(f"cannot choose {count} of {free} frames that are free")
+    return start
