@@ -3,7 +3,7 @@
 References
 ----------
 Hartley and Sturm (1997), Triangulation, Computer Vision and Image Understanding 68(2), 146-157: the
-iterated linear method and the reprojection error.
+linear method and the reprojection error.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,6 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.numerics.rigid.rigid_alignment import align_rigid
 
-_LINEAR_ROUNDS = 3
 _NEWTON_ROUNDS = 5
 _NEAREST_DEPTH = 1e-9
 _SMALLEST_ANGLE = 1e-6
@@ -51,20 +50,16 @@ def triangulate_points(
     trust = np.where(counted, weights, 0.0)
     image = np.where(counted[..., None], seen, 0.0)
     shape = seen.shape[1:-1]
-    points = np.zeros((*shape, 3))
-    depth = [np.ones(shape) for _ in poses]
     enough = counted.sum(axis=0) >= 2
-    for _ in range(_LINEAR_ROUNDS):
-        normal, right = np.zeros((*shape, 3, 3)), np.zeros((*shape, 3))
-        for xy, weight, pose, z in zip(image, trust, poses, depth, strict=True):
-            for axis in range(2):
-                row = xy[..., axis, None] * pose.rotation[2] - pose.rotation[axis]
-                left = pose.translation[axis] - xy[..., axis] * pose.translation[2]
-                _add(normal, right, row, left, weight / z**2)
-        eigenvalues = np.linalg.eigvalsh(normal)
-        enough &= eigenvalues[..., 0] > _SMALLEST_ANGLE * eigenvalues[..., 2]
-        points = _solve(normal, right, enough)
-        depth = [np.maximum(_camera_space(pose, points)[..., 2], _NEAREST_DEPTH) for pose in poses]
+    normal, right = np.zeros((*shape, 3, 3)), np.zeros((*shape, 3))
+    for xy, weight, pose in zip(image, trust, poses, strict=True):
+        for axis in range(2):
+            row = xy[..., axis, None] * pose.rotation[2] - pose.rotation[axis]
+            left = pose.translation[axis] - xy[..., axis] * pose.translation[2]
+            _add(normal, right, row, left, weight)
+    eigenvalues = np.linalg.eigvalsh(normal)
+    enough &= eigenvalues[..., 0] > _SMALLEST_ANGLE * eigenvalues[..., 2]
+    points = _solve(normal, right, enough)
     for _ in range(_NEWTON_ROUNDS):
         normal, right = np.zeros((*shape, 3, 3)), np.zeros((*shape, 3))
         for xy, weight, pose in zip(image, trust, poses, strict=True):
