@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.numerics.simulated_face import simulate_face
-from usdface.numerics.repair.fit_low_rank import _Moments, fit_low_rank, with_rank
+from usdface.numerics.repair.fit_low_rank import _principal, fit_low_rank, with_rank
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
 MARKERS = 12
@@ -54,8 +54,9 @@ def test_principal_directions_are_those_of_the_singular_value_decomposition(fram
     filled = np.random.default_rng(0).standard_normal((frames, MARKERS, 3)) * np.geomspace(
         9, 0.1, MARKERS
     ).reshape(-1, 1)
-    values, components, squares = _Moments.of(filled).principal(8)
-    centered = filled.reshape(frames, -1) - filled.reshape(frames, -1).mean(axis=0)
+    mean, values, components, squares = _principal(filled, 8)
+    np.testing.assert_allclose(mean, filled.reshape(frames, -1).mean(axis=0), atol=1e-12)
+    centered = filled.reshape(frames, -1) - mean
     _, size, right = np.linalg.svd(centered, full_matrices=False)
     np.testing.assert_allclose(values[:8], size[:8] ** 2)
     np.testing.assert_allclose(np.abs(components @ right[:8].T), np.eye(8), atol=1e-6)

@@ -135,7 +135,7 @@ def evaluate_cyclic(
         share(0.0, method)
         if method == POSITION_MATCHING:
             label, settings = method, ""
-            forward, back = _match_positions(pairs, performance, rig, target_rig)
+            forward, back = _match_positions(pairs, source_weights, rig, target_rig)
         else:
             trained = train_retargeting(
                 pairs,
@@ -165,10 +165,9 @@ def evaluate_cyclic(
 
 
 def _match_positions(
-    pairs: ExpressionPairs, performance: FloatArray, rig: Rig, target_rig: Rig
+    pairs: ExpressionPairs, source_weights: FloatArray, rig: Rig, target_rig: Rig
 ) -> tuple[FloatArray, FloatArray]:
     """Return target weights by position matching, and source weights by matching these."""
-    source_weights = columns_by_name(performance, pairs.source_shapes, rig.shapes)
     forward = match_positions(correspond(rig, target_rig), source_weights)
     back = match_positions(correspond(target_rig, rig), forward)
     return (

@@ -132,13 +132,14 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
         return _judge_without_figures(evidence)
     basis = evidence.basis
     proposals = basis is not None and 2 * basis.tuned < basis.pairs
+    changed, without_markers, without_shapes = _limits_of_basis(evidence)
     level, beyond = "bad", bad
     if _frame_share(bad) <= _BAD_SHARE:
         wrong = evidence.exceeds(WRONG_EXPRESSION_MM, 0.0)
         if _frame_share(wrong) > _CHANCE_SHARE:
             beyond = wrong
         else:
-            stated = _name_changed(evidence) or _name_without_shapes(evidence)
+            stated = changed or without_shapes
             unproven = proposals and evidence.error_mm is None
             checked = _frame_share(doubtful) > _CHANCE_SHARE or unproven or stated
             level, beyond = "check" if checked else "good", doubtful
@@ -151,9 +152,8 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     }
     where = dict(sorted(found.items(), key=lambda item: -item[1]))
     retarget = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
-    parts = [retarget, _coverage(evidence), _tuned(evidence), _name_changed(evidence)]
-    parts += [_name_without_markers(evidence), _name_without_shapes(evidence)]
-    parts += [_error(evidence), _residual(evidence)]
+    parts = [retarget, _coverage(evidence), _tuned(evidence), changed, without_markers]
+    parts += [without_shapes, _error(evidence), _residual(evidence)]
     if level != "good" and where:
         columns = [evidence.regions.index(region) for region in where]
         parts.append(f"{_list_limits(beyond, columns)}: {_list_regions(where)}")
@@ -248,31 +248,24 @@ def _list_regions(where: dict[str, float]) -> str:
     return first_few([f"{words[0]} of the frames", *words[1:]], most=2)
 
 
-def _name_changed(evidence: SolveEvidence) -> str:
-    """Name shapes of the rig that changed since training."""
+def _limits_of_basis(evidence: SolveEvidence) -> tuple[str, str, str]:
+    """Name changed shapes of the rig, regions without markers, and regions without shapes.
+
+    Each empty if there are none, or if keys tell the error.
+    """
     basis = evidence.basis
-    if basis is None or not basis.changed_shapes or evidence.error_mm is not None:
-        return ""
-    shapes = first_few(basis.changed_shapes, most=2)
-    return f"shapes of the rig have changed since training: {shapes}"
-
-
-def _name_without_markers(evidence: SolveEvidence) -> str:
-    """Name the regions without markers."""
-    basis = evidence.basis
-    if basis is None or not basis.regions_without_markers or evidence.error_mm is not None:
-        return ""
-    regions = " and the ".join(basis.regions_without_markers)
-    return f"no marker sees the {regions}: weights there are guessed from the rest of the face"
-
-
-def _name_without_shapes(evidence: SolveEvidence) -> str:
-    """Name the regions with markers for which the rig has no shapes."""
-    basis = evidence.basis
-    if basis is None or not basis.regions_without_shapes or evidence.error_mm is not None:
-        return ""
-    regions = " and the ".join(basis.regions_without_shapes)
-    return f"the rig has no shapes for the {regions}: their markers are not followed"
+    if basis is None or evidence.error_mm is not None:
+        return "", "", ""
+    shapes = first_few(basis.changed_shapes, most=2) if basis.changed_shapes else ""
+    unseen = " and the ".join(basis.regions_without_markers)
+    still = " and the ".join(basis.regions_without_shapes)
+    return (
+        f"shapes of the rig have changed since training: {shapes}" if shapes else "",
+        f"no marker sees the {unseen}: weights there are guessed from the rest of the face"
+        if unseen
+        else "",
+        f"the rig has no shapes for the {still}: their markers are not followed" if still else "",
+    )
 
 
 def _error(evidence: SolveEvidence) -> str:
@@ -338,7 +331,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
         )
     if proposals and basis is not None and (level == "bad" or evidence.error_mm is None):
         steps.append(f"tune the references ({basis.pairs - basis.tuned} are proposals)")
-    if not steps and level != "bad" and _name_changed(evidence):
+    if not steps and level != "bad" and _limits_of_basis(evidence)[0]:
         return "tune the pairs that show them again, then train and map again"
     if steps:
         return f"{' and '.join(steps)}, then train and map again"

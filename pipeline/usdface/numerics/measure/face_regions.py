@@ -128,12 +128,12 @@ def shapes_by_region(names: Sequence[str]) -> dict[str, IntArray]:
 
 def gaze_shapes(names: Sequence[str]) -> IntArray:
     """Return the columns of the shapes that turn the eyes, which markers do not observe."""
-    return np.flatnonzero([any(word in name.lower() for word in _GAZE) for name in names])
+    return _with_word(names, _GAZE)
 
 
 def tongue_shapes(names: Sequence[str]) -> IntArray:
     """Return the columns of the shapes of the tongue, which markers do not observe."""
-    return np.flatnonzero([_TONGUE in name.lower() for name in names])
+    return _with_word(names, (_TONGUE,))
 
 
 def gaze_and_tongue_shapes(names: Sequence[str]) -> IntArray:
@@ -143,7 +143,10 @@ def gaze_and_tongue_shapes(names: Sequence[str]) -> IntArray:
 
 def blinks(names: Sequence[str]) -> IntArray:
     """Return the columns of the shapes that close an eye."""
-    words = ("blink", "eyeclose", "eye_close", "lidclose", "lid_close")
+    return _with_word(names, ("blink", "eyeclose", "eye_close", "lidclose", "lid_close"))
+
+
+def _with_word(names: Sequence[str], words: Sequence[str]) -> IntArray:
     return np.flatnonzero([any(word in name.lower() for word in words) for name in names])
 
 

@@ -53,8 +53,8 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
         rows = np.asarray(block)
         if rows.ndim != 2:
             raise ValueError(f"expected blocks of shape (rows, columns), got {rows.shape}")
-        for start in range(0, len(rows), _BLOCK_ROWS):
-            part = rows[start : start + _BLOCK_ROWS].astype(np.float64)
+        for piece in frame_blocks(len(rows), frames=_BLOCK_ROWS):
+            part = rows[piece].astype(np.float64)
             if origin is None or total is None or scatter is None:
                 origin = part[0].copy()  # sums about a data point cancel less than about 0
                 total = np.zeros_like(origin)
@@ -63,7 +63,7 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
                 raise ValueError(f"blocks of {len(origin)} and of {part.shape[1]} columns")
             part -= origin
             if not np.isfinite(part).all():
-                bad = start + int(np.flatnonzero(~np.isfinite(part).all(axis=1))[0])
+                bad = piece.start + int(np.flatnonzero(~np.isfinite(part).all(axis=1))[0])
                 raise ValueError(f"row {bad} holds a value that is not finite")
             total += part.sum(axis=0)
             scatter += part.T @ part

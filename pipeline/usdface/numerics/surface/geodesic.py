@@ -104,18 +104,17 @@ def _shortest_paths(
     """
     count = graph.shape[0]
     out = np.empty((len(polygons), count), np.float32)
-    for start in range(0, len(polygons), _BLOCK_PLACES):
-        chosen = range(start, min(start + _BLOCK_PLACES, len(polygons)))
-        row = np.concatenate([np.full(len(polygons[i]), i - start) for i in chosen])
-        column = np.concatenate([polygons[i] for i in chosen])
-        value = np.maximum(np.concatenate([lengths[i] for i in chosen]), 1e-9)
-        joined = sparse.csr_array((value, (row, column)), (len(chosen), count))
+    for block in frame_blocks(len(polygons), frames=_BLOCK_PLACES):
+        chosen = polygons[block]
+        places = len(chosen)
+        row = np.repeat(np.arange(places), [len(polygon) for polygon in chosen])
+        value = np.maximum(np.concatenate(lengths[block]), 1e-9)
+        joined = sparse.csr_array((value, (row, np.concatenate(chosen))), (places, count))
         whole: Any = sparse.block_array(
-            [[graph, None], [joined, sparse.csr_array((len(chosen), len(chosen)))]], format="csr"
+            [[graph, None], [joined, sparse.csr_array((places, places))]], format="csr"
         )
-        sources = count + np.arange(len(chosen))
-        out[start : start + len(chosen)] = dijkstra(whole, indices=sources)[:, :count]
-        progress(chosen.stop / len(polygons), "measuring distances along edges")
+        out[block] = dijkstra(whole, indices=count + np.arange(places))[:, :count]
+        progress(block.stop / len(polygons), "measuring distances along edges")
     return out
 
 

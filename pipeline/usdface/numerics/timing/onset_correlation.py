@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
-from usdface.core.arrays import MAD_TO_DEVIATION, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import MAD_TO_DEVIATION, Float32Array, FloatArray, IntArray, frame_blocks
 from usdface.numerics.timing.window_delays import loud_windows, speech_band, whitened_product
 
 _BLOCK_SAMPLES = 1 << 20
@@ -206,11 +206,10 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
     window = np.hanning(size).astype(np.float32)
     frames = sliding_window_view(sound, size)[::hop]
     power = np.empty((_BAND_COUNT, count), np.float32)
-    for start in range(0, count, _FRAMES_AT_ONCE):
-        spectrum = fft.rfft(frames[start : start + _FRAMES_AT_ONCE] * window, length, axis=1)
+    for block in frame_blocks(count, frames=_FRAMES_AT_ONCE):
+        spectrum = fft.rfft(frames[block] * window, length, axis=1)
         energy = spectrum.real**2 + spectrum.imag**2
-        bands = np.add.reduceat(energy[:, : edges[-1]], edges[:-1], axis=1)
-        power[:, start : start + len(bands)] = bands.T
+        power[:, block] = np.add.reduceat(energy[:, : edges[-1]], edges[:-1], axis=1).T
     # A floor at the band's median power, without digital silence, suppresses noise.
     floor = np.empty((_BAND_COUNT, 1), np.float32)
     for band, row in enumerate(power):
