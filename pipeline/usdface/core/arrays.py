@@ -176,6 +176,15 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
+def spaced_rows(order: IntArray, spacing: int) -> Iterator[int]:
+    """Yield rows in an order of preference, none nearer than `spacing` to one before."""
+    free = np.ones(int(order.max(initial=0)) + 1, np.bool_)
+    for row in order.tolist():
+        if free[row]:
+            free[max(row - spacing + 1, 0) : row + spacing] = False
+            yield row
+
+
 def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) -> Iterator[slice]:
     """Yield the frames of a take in blocks, which bounds the memory of intermediate arrays.
 

@@ -15,10 +15,10 @@ from tests.numerics.manifold.small_process import (
 from usdface.numerics.manifold.hybrid_monte_carlo import (
     _PROPOSAL_WIDTH,
     _log_mixture,
+    chain_states,
     effective_sample_size,
     sample_chains,
     split_rhat,
-    start_chains,
     take_hmc_step,
 )
 from usdface.numerics.manifold.hyper_posterior import (
@@ -69,7 +69,7 @@ def test_newton_finds_a_gaussian_and_its_spread_at_once() -> None:
 def test_a_gaussian_is_followed_exactly_however_far_a_step_goes(angle: float) -> None:
     energy = Gaussian(200)
     fit = fit_laplace(energy, np.zeros((4, 200)))
-    state = start_chains(energy, fit, np.full((4, 200), 0.5))
+    state = chain_states(energy, fit, np.full((4, 200), 0.5))
     _, acceptance = take_hmc_step(
         np.random.default_rng(0), state, energy, fit, angle=np.full(200, angle)
     )
@@ -80,7 +80,7 @@ def test_energy_beyond_the_gaussian_is_conserved_to_the_square_of_the_step() -> 
     energy = Gaussian(200)
     fit = fit_laplace(energy, np.zeros((4, 200)))
     wrong = replace(fit, root=1.3 * fit.root, inverse=fit.inverse / 1.3)
-    state = start_chains(energy, wrong, np.full((4, 200), 0.8))
+    state = chain_states(energy, wrong, np.full((4, 200), 0.8))
     lost = []
     for angle in (0.2, 0.1):
         _, acceptance = take_hmc_step(

@@ -61,19 +61,20 @@ and simulated takes, those that move most of the face reach it upright, and none
 
 @dataclass(frozen=True)
 class PlacementInputs:
-    """What the placements of a cloud on a skin are made from.
-
-    `usual_scale` is the expected size of the character relative to the performer; `features` are
-    the rig's landmarks.
-    """
+    """What the placements of a cloud on a skin are made from."""
 
     cloud: MarkerCloud
     skin: FaceSkin
     ranges: FloatArray
+    """(shapes, 2): of the weights."""
     landmarks: list[KnownPlace]
+    """Of labelled markers, and places given by a person."""
     pins: dict[int, FloatArray]
+    """(3,) each: the places given by a person, by marker [mm]."""
     usual_scale: float
+    """Expected size of the character over the performer."""
     features: FaceLandmarks
+    """The rig's landmarks, for markers without a label."""
     skin_share: float = 1.0
     """As of `place_on_skin`."""
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, spaced_rows
 from usdface.model.review.verdict import SolveEvidence
 from usdface.numerics.regression.cross_validation import surface_errors_mm
 
@@ -129,15 +129,13 @@ def review_moments(signals: ReviewSignals, count: int, *, rate: float) -> list[M
     """
     score = np.nan_to_num(signals.score_mm, nan=-1.0)
     distance = max(round(MOMENT_SECONDS * rate), 1)
-    available = score >= 0
     evidence, rows = signals.evidence, list[int]()
     jumps_alone = evidence.error_mm is None and evidence.uncertainty_mm is None
-    for row in np.argsort(-score, kind="stable").tolist():
+    order = np.argsort(-score, kind="stable")
+    for row in spaced_rows(order[score[order] >= 0], distance):
         if len(rows) >= count or (rows and jumps_alone and score[row] < LEAST_JUMP_MM):
             break
-        if available[row]:
-            rows.append(row)
-            available[max(row - distance + 1, 0) : row + distance] = False
+        rows.append(row)
     return [signals.moment(row) for row in rows]
 
 

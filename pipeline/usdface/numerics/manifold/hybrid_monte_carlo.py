@@ -85,7 +85,7 @@ class ModeJumps:
     """Of these chains alone."""
 
 
-def start_chains(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainState:
+def chain_states(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainState:
     """Evaluate the energy at whitened positions (4, chains) of `fit`."""
     value, gradient = energy(fit.theta(white))
     return ChainState(white, value, np.sum(fit.root * gradient[:, None], axis=0) - white)
@@ -117,7 +117,7 @@ def take_hmc_step(
     cosine, sine = np.cos(turn), np.sin(turn)
     kinetic = 0.5 * np.sum(momentum * momentum, axis=0)
     pushed = momentum - 0.5 * turn * state.residual
-    proposed = start_chains(energy, fit, cosine * state.white + sine * pushed)
+    proposed = chain_states(energy, fit, cosine * state.white + sine * pushed)
     pushed = cosine * pushed - sine * state.white - 0.5 * turn * proposed.residual
     gained = state.energy + kinetic - proposed.energy - 0.5 * np.sum(pushed * pushed, axis=0)
     return _accept(state, proposed, gained, uniform[1])
@@ -143,7 +143,7 @@ def sample_chains(
         from the Gaussians around both modes.
     """
     drawn = rng.standard_normal(laplace.mode.shape)
-    state = start_chains(energy, laplace, drawn.astype(laplace.mode.dtype))
+    state = chain_states(energy, laplace, drawn.astype(laplace.mode.dtype))
     angle = np.full_like(state.energy, FIRST_ANGLE)
     bias, averaged, accepted = np.zeros_like(angle), np.zeros_like(angle), np.zeros_like(angle)
     samples = []
@@ -235,7 +235,7 @@ def _jump_between_modes(
     one, other = jumps.modes
     theta = fit.theta(before.white)
     target = np.where(first, one.theta(drawn), other.theta(drawn))
-    proposed = start_chains(jumps.energy, fit, fit.whiten(target))
+    proposed = chain_states(jumps.energy, fit, fit.whiten(target))
     gained = before.energy - proposed.energy
     gained = gained + _log_mixture(theta, jumps.modes) - _log_mixture(target, jumps.modes)
     after = _accept(before, proposed, gained, rng.random((chains,)).astype(before.energy.dtype))[0]

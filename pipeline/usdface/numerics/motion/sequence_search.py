@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, distances, frame_blocks
+from usdface.core.arrays import FloatArray, IntArray, distances, frame_blocks, spaced_rows
 
 PAPER_DELTA = 1.0
 """Threshold of eq. 10 in the paper, for its source of 33 shapes and its sequence."""
@@ -131,15 +131,9 @@ def merge_starts(starts: IntArray, length: int) -> IntArray:
 
 def _drop_overlapping(matches: Matches, length: int) -> Matches:
     """Return the nearest of matches that overlap."""
-    chosen: list[int] = []
-    free = np.ones(int(matches.starts.max(initial=0)) + 1, dtype=np.bool_)
-    for index in np.argsort(matches.distances, kind="stable").tolist():
-        start = int(matches.starts[index])
-        if free[start]:
-            chosen.append(index)
-            free[max(start - length + 1, 0) : start + length] = False
-    order = sorted(chosen)
-    return Matches(matches.starts[order], matches.distances[order], matches.threshold)
+    nearest_first = matches.starts[np.argsort(matches.distances, kind="stable")]
+    apart = np.isin(matches.starts, list(spaced_rows(nearest_first, length)))
+    return Matches(matches.starts[apart], matches.distances[apart], matches.threshold)
 
 
 def _all_distances(motion: FloatArray, sequence: FloatArray) -> FloatArray:

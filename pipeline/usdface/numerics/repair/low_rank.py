@@ -136,10 +136,7 @@ def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> F
         # x_m = mean_m - L_mm^-1 L_mo (x_o - mean_o), L the precision matrix
         pull = weighted_offset @ model.score_weights.astype(kind)
         missed = np.take_along_axis(pull, entries, axis=1)[..., None]
-        if count == 1:
-            shift = model.conditional_covariances[missing[:, 0]] @ missed
-        else:
-            shift = np.asarray(np.linalg.solve(model.precision_of(entries), missed), np.float64)
+        shift = np.asarray(np.linalg.solve(model.precision_of(entries), missed), np.float64)
     else:
         # Posterior mean of the scores given the visible markers.
         directions = model.components.T[entries]

@@ -231,8 +231,8 @@ def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _RoughShift:
         drift=coarse.drift,
         drift_unknown=2 * coarse.drift_step or _LARGEST_DRIFT,
         confidence=min(
-            float(np.interp(coarse.peak, [0, LEAST_PEAK, _CLEAR_PEAK], [0, 0.5, 1])),
-            float(np.interp(coarse.ratio, [1, LEAST_RATIO, _CLEAR_RATIO], [0, 0.5, 1])),
+            _grade(coarse.peak, 0, LEAST_PEAK, _CLEAR_PEAK),
+            _grade(coarse.ratio, 1, LEAST_RATIO, _CLEAR_RATIO),
         ),
         warnings=tuple(warnings),
     )
@@ -257,8 +257,8 @@ def _by_phase(vote: PhaseVote) -> _RoughShift:
         drift=0.0,
         drift_unknown=_LARGEST_DRIFT,
         confidence=min(
-            float(np.interp(share, [0, LEAST_AGREEMENT, _CLEAR_AGREEMENT], [0, 0.5, 1])),
-            float(np.interp(lead, [1, LEAST_LEAD, 2 * LEAST_LEAD], [0, 0.5, 1])),
+            _grade(share, 0, LEAST_AGREEMENT, _CLEAR_AGREEMENT),
+            _grade(lead, 1, LEAST_LEAD, 2 * LEAST_LEAD),
         ),
         warnings=tuple(warnings),
     )
@@ -275,7 +275,7 @@ def _conclude(
             f"{agreeing} of {len(line.agreeing)} windows agree on one shift and drift, "
             f"{LEAST_WINDOWS} and {LEAST_AGREEMENT:.0%} are needed",
         )
-    by_lines = float(np.interp(agreement, [0, LEAST_AGREEMENT, _CLEAR_AGREEMENT], [0, 0.5, 1]))
+    by_lines = _grade(agreement, 0, LEAST_AGREEMENT, _CLEAR_AGREEMENT)
     return SoundAlignment(
         offset=line.intercept,
         drift=line.slope,
@@ -289,6 +289,11 @@ def _conclude(
         windows=windows,
         agreeing=line.agreeing,
     )
+
+
+def _grade(value: float, chance: float, least: float, clear: float) -> float:
+    """Return the confidence by one criterion: 0 by chance, 0.5 at its limit, 1 if clear."""
+    return float(np.interp(value, [chance, least, clear], [0.0, 0.5, 1.0]))
 
 
 def _window_seconds(overlap: float) -> float:
