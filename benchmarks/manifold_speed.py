@@ -10,7 +10,7 @@ from benchmarks._surface_subjects import demo_subject
 from usdface.model.surface.distance import surface_distances
 from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
 from usdface.numerics.manifold.hybrid_monte_carlo import effective_sample_size, split_rhat
-from usdface.numerics.manifold.hyper_posterior import TabulatedEnergy
+from usdface.numerics.manifold.hyper_posterior import TabulatedEnergy, noise_gain, to_theta
 from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
 from usdface.numerics.manifold.laplace import fit_laplace
 
@@ -35,7 +35,8 @@ def run(frames: int = 512) -> None:
     rows = np.ascontiguousarray(moved.transpose(0, 2, 1).reshape(-1, moved.shape[1]))
     samples, modes = sample_hyperparameters(rng, table, rows)
     again = sample_hyperparameters(rng, table, rows)[0]
-    around = fit_laplace(TabulatedEnergy(table, rows[:3]), modes.theta[:, :3])
+    modes_theta = to_theta(modes.best.mode[:, :3].astype(np.float64), noise_gain(table.spectrum))
+    around = fit_laplace(TabulatedEnergy(table, rows[:3]), modes_theta)
     times = np.empty((TURNS, 2))
     for turn in times:  # alternating, for equal load
         start = time.process_time()

@@ -156,7 +156,7 @@ def test_two_modes_are_found_and_both_visited_in_their_proportion() -> None:
     samples, again = sample_hyperparameters(np.random.default_rng(0), table, many, keep=200)
     assert again.double.all()
     x = (samples.theta[:, 0] - samples.theta[:, 1]).reshape(200, 4, 30)
-    middle = (modes.theta[0] - modes.theta[1])[double[:4]]
+    middle = -modes.best.mode[1][double[:4]]
     second = to_theta(modes.second.mode, noise_gain(table.spectrum))
     middle = 0.5 * (middle + (second[0] - second[1])[double[:4]])
     above = (x > middle[:, None]).mean(axis=0)  # of each chain

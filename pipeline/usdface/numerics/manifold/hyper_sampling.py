@@ -38,8 +38,6 @@ class Modes:
     """The one with the larger evidence, in the coordinates phi of `hyper_posterior`."""
     second: LaplaceFit
     """That of the other start; a distinct mode in the chains of `double` alone."""
-    theta: FloatArray
-    """(4, chains): of `best`."""
     double: BoolArray
     """(chains,): chains with two modes, in which motion is signal or noise."""
 
@@ -74,8 +72,7 @@ def find_modes(
         best, other = select_fits(swap, second, first), select_fits(swap, first, second)
         distance = np.minimum(_distance(best, other), _distance(other, best))
         likely = best.log_evidence - other.log_evidence < _LARGEST_LOG_RATIO
-    theta = np.asarray(to_theta(best.mode.astype(np.float64), gain), np.float64)
-    return Modes(best, other, theta, (distance > _LEAST_DISTANCE) & likely)
+    return Modes(best, other, (distance > _LEAST_DISTANCE) & likely)
 
 
 def sample_hyperparameters(
