@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from usdface.capture.axes import mm_per_unit, rotation_to_y_up
 from usdface.capture.sniff import read_capture
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, hold_last_seen
 from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.demo.acting import performance
@@ -243,3 +243,16 @@ def test_bodies_are_not_taken_for_faces(shared_data: Path) -> None:
         assert judge_markers(take.markers, float(take.rate)) == (), path.name
         judged += 1
     assert judged >= 6
+
+
+@pytest.mark.parametrize("last_seen", [180, 60])
+def test_a_head_that_walks_away_from_hidden_markers_is_one_head(last_seen: int) -> None:
+    markers = synthetic()
+    walked = np.linspace(0, 500, len(markers.positions), dtype=np.float32)
+    positions = markers.positions + walked[:, None, None]
+    visible = markers.visible.copy()
+    visible[last_seen:, ::3] = False
+    hold_last_seen(positions, visible)
+    confidence = visible.astype(np.float32)
+    names = tuple(f"m{i}" for i in range(len(LABELS)))
+    assert aspects(Markers(names, 20 * positions, visible, confidence)) == {"size": True}

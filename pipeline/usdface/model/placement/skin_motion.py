@@ -57,20 +57,19 @@ class SkinMotion:
         reference = sample[int(seen.sum(axis=1).argmax())]
         alignment = align_rigid_robust(sample, reference, visible=seen)
         seen &= alignment.determined[:, None]
-        still = np.asarray(remove_motion(sample, alignment))
+        known = seen.any(axis=0)
+        still, seen = np.asarray(remove_motion(sample, alignment))[:, known], seen[:, known]
         count = len(starts)
         step = np.linalg.norm(still[count:] - still[:count], axis=2)
         speeds = step[seen[count:] & seen[:count]] * (rate / lag if lag else 0.0)
-        known = seen.sum(axis=0) > 0
-        middle = np.median(still, axis=0)
+        middle = np.nanmedian(np.where(seen[..., None], still, np.nan), axis=0)
         away = (still - middle)[seen]
         return cls(
             speeds,
             alignment.rotations,
-            _flattest(middle[known]),
+            _flattest(middle),
             _main_axis(away),
-            float(np.sqrt((away**2).sum(axis=1).mean()))
-            > _ARTICULATED_SHARE * rms_radius(middle[known]),
+            float(np.sqrt((away**2).sum(axis=1).mean())) > _ARTICULATED_SHARE * rms_radius(middle),
         )
 
     def height(self, axis: FloatArray) -> float:
