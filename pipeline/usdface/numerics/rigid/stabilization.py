@@ -24,6 +24,7 @@ from usdface.core.arrays import (
     IntArray,
     RealArray,
     equal_rows,
+    rms_radius,
     sample_frames,
 )
 from usdface.numerics.rigid.rigid_alignment import (
@@ -134,7 +135,7 @@ def stabilize(
     reference = reference @ back.rotations[0].T + back.translations[0]
     alignment = align_rigid_robust(body, reference, visible=body_seen)
     noise = np.median(alignment_residuals(body, reference, alignment)[body_seen])
-    reach = np.sqrt(points[neutral, seen[neutral]].var(axis=0, dtype=np.float64).sum())
+    reach = rms_radius(points[neutral, seen[neutral]].astype(np.float64))
     turn = _turn_per_mm(reference, body_seen)
     uncertain = (turn * reach * noise > _MOST_POSE_ERROR_MM) & (
         turn > _LEAST_ERROR_RATIO * np.median(turn)
