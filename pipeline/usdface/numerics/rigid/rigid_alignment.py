@@ -6,6 +6,8 @@ Deng, Chiang, Fox and Neumann (2006), Animating Blendshape Faces by Cross-Mappin
 Data, I3D, section 3, equations 1 and 2.
 Umeyama (1991), Least-squares estimation of transformation parameters between two point patterns,
 IEEE PAMI 13(4): the determinant.
+Markley (1993), Attitude determination using vector observations: a fast optimal matrix algorithm,
+Journal of the Astronautical Sciences 41(2), 261-280: `optimal_rotations`.
 """
 
 from dataclasses import dataclass
@@ -27,6 +29,10 @@ _INLIER_MEDIANS = 2.6
 """Residuals of Gaussian noise in three dimensions stay below 2.6 medians in 999 of 1000 samples."""
 _LEAST_SCALE = 1e-6
 """[mm] Scale of the residuals of exact data, which are rounding."""
+_NEWTON_LIMIT = 30
+_NEWTON_SETTLED = 1e-15
+_SAFE_ZETA = 0.05
+"""Below it the closed form is inaccurate, and the SVD is used."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class RigidAlignment:
     """(frames, 3)"""
     determined: BoolArray
     """(frames,): False where fewer than three points are visible, or all are collinear."""
+    weights: FloatArray
+    """(frames, points): final weights; 0 where not visible."""
 
     def matrices(self) -> FloatArray:
         """Return (frames, 4, 4) transforms for column vectors."""
@@ -102,7 +110,7 @@ def align_rigid(
         R[~known] = np.eye(3)
         rotations[rows], determined[rows] = R, known
         translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
-    return RigidAlignment(rotations, translations, determined)
+    return RigidAlignment(rotations, translations, determined, w)
 
 
 def align_rigid_robust(
@@ -118,7 +126,7 @@ def align_rigid_robust(
     seen = np.asarray(visible, bool)
     first = align_rigid(points, y, weights=seen)
     rotations, translations = first.rotations.copy(), first.translations.copy()
-    determined, weights = first.determined.copy(), seen.astype(np.float64)
+    determined, weights = first.determined.copy(), first.weights
     residuals = alignment_residuals(points, y, first)
     chosen = residuals[seen]
     take_scale = max(float(np.median(chosen)) if chosen.size else 0.0, _LEAST_SCALE)
@@ -145,13 +153,14 @@ def align_rigid_robust(
             active = active[again.determined]
 
     map_threads(reweigh, frame_blocks(len(points)))
-    return RigidAlignment(rotations, translations, determined)
+    return RigidAlignment(rotations, translations, determined, weights)
 
 
 def alignment_of(matrices: ArrayLike) -> RigidAlignment:
     """Return (frames, 4, 4) transforms for column vectors as an alignment, fully determined."""
     motion = np.asarray(matrices, np.float64)
-    return RigidAlignment(motion[:, :3, :3], motion[:, :3, 3], np.ones(len(motion), bool))
+    known = np.ones(len(motion), bool)
+    return RigidAlignment(motion[:, :3, :3], motion[:, :3, 3], known, np.ones((len(motion), 0)))
 
 
 def rigid_displacements(points: FloatArray) -> FloatArray:
@@ -203,6 +212,10 @@ def optimal_rotations(
 ) -> tuple[FloatArray, BoolArray]:
     """Return the rotations R that maximise ``trace(R.T @ B)``, which are U diag(1, 1, ±1) V^T.
 
+    By Markley's closed form, in a quarter of the time of an SVD and equal to rounding. It needs the
+    sum of the singular values of B (the last with the determinant's sign): the largest root of a
+    quartic, by Newton's method from above. Matrices near rank one are decomposed by SVD.
+
     Parameters
     ----------
     matrices : (n, 3, 3) float array
@@ -217,7 +230,51 @@ def optimal_rotations(
         Identity where not determined.
     determined : (n,) bool array
     """
-    U, singular, Vt = np.linalg.svd(np.where(np.isfinite(matrices), matrices, 0.0))
+    # Frames last, so that operations run over contiguous memory.
+    B = np.ascontiguousarray(np.moveaxis(matrices, 0, -1))
+    size = np.sqrt((B * B).sum(axis=(0, 1)))
+    B /= np.maximum(size, np.finfo(np.float64).tiny)
+    above, below = B[[1, 2, 0]], B[[2, 0, 1]]
+    cofactors = (
+        above[:, [1, 2, 0]] * below[:, [2, 0, 1]] - above[:, [2, 0, 1]] * below[:, [1, 2, 0]]
+    )
+    determinant = (B[0] * cofactors[0]).sum(axis=0)
+    cofactor_norm2 = (cofactors * cofactors).sum(axis=(0, 1))
+    # (λ² - |B|²)² - 8 λ det B - 4 |cof B|² = 0, |B| = 1; convex from the largest root upwards
+    root = np.full(len(matrices), np.sqrt(3.0))
+    for _ in range(_NEWTON_LIMIT):
+        excess = root * root - 1.0
+        value = excess * excess - 8.0 * root * determinant - 4.0 * cofactor_norm2
+        slope = 4.0 * root * excess - 8.0 * determinant
+        step = value / np.maximum(slope, _NEWTON_SETTLED)
+        root -= step
+        if np.abs(step).max(initial=0.0) < _NEWTON_SETTLED:
+            break
+    kappa = 0.5 * (root * root - 1.0)
+    zeta = kappa * root - determinant
+    safe = (zeta > _SAFE_ZETA) & (size > 0)
+    turned = (kappa + 1.0) * B + root * cofactors - _product(B, _gram(B))
+    turned /= np.where(safe, zeta, 1.0)
+    turned = 1.5 * turned - 0.5 * _product(turned, _gram(turned))  # orthogonal to rounding
+    R = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
+    determined = safe.copy()
+    rest = np.flatnonzero(~safe)
+    R[rest], determined[rest] = _decompose(np.moveaxis(B[:, :, rest], -1, 0), rank_tolerance)
+    return R, determined
+
+
+def _product(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Return A B of (3, 3, n) matrices."""
+    return A[:, :1] * B[:1] + A[:, 1:2] * B[1:2] + A[:, 2:] * B[2:]
+
+
+def _gram(A: FloatArray) -> FloatArray:
+    """Return A.T A of (3, 3, n) matrices."""
+    return _product(np.swapaxes(A, 0, 1), A)
+
+
+def _decompose(B: FloatArray, rank_tolerance: float) -> tuple[FloatArray, BoolArray]:
+    U, singular, Vt = np.linalg.svd(np.where(np.isfinite(B), B, 0.0))
     sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     U[:, :, 2] *= sign[:, None]
     margin = singular[:, 1] + sign * singular[:, 2]  # 0: the rotation is not unique

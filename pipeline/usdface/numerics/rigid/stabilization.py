@@ -213,7 +213,7 @@ def interpolate_poses(alignment: RigidAlignment) -> RigidAlignment:
         rotations[missing] = interpolated(inside).as_matrix()
     for axis in range(3):
         translations[missing, axis] = np.interp(missing, known, translations[known, axis])
-    return replace(alignment, rotations=rotations, translations=translations)
+    return RigidAlignment(rotations, translations, alignment.determined, alignment.weights)
 
 
 def _check_reference(start: FloatArray, named: int, neutral: int) -> None:
