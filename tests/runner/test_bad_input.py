@@ -235,7 +235,7 @@ CASES: list[tuple[Callable[[Shot], list[str]], tuple[str, ...]]] = [
     (nan_in_the_table, ("tuned.csv", "line 3", "jawOpen", "nan")),
     (too_many_dimensions, ("40", "24")),
     (unknown_method, ("magic", "d06")),
-    (nan_in_the_take, ("frame 7", "marker 3", "NaN")),
+    (nan_in_the_take, ("time code 7", "brow_L4", "not finite")),
     (another_rig, ("other.usdc", "bs_", "train again for this rig")),
     (mapping_that_is_none, ("hero.usdc", "usdface train")),
     (frames_outside, ("400-900", "1-480")),
