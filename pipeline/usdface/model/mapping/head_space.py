@@ -174,8 +174,8 @@ def find_head_space(
     Raises
     ------
     InputError
-        If the take is not stabilised, shares too few markers with the face, its rigid markers are
-        too few, collinear, or too far from the performer's, or it is another performer's.
+        If the take is not stabilised, shares too few markers with the face, has neither its rigid
+        markers nor its face where the performer's are, or is another performer's.
     """
     slots, columns = _common_markers(face, markers)
     count = len(face.marker_names)
