@@ -173,7 +173,7 @@ def _row(
     row += [float(at[label][1] - picked[name][1]) for name, label in LIDS.items()]
     upward = at["ForeHead_M"] - at["Chin"]
     row.append(abs(float(np.degrees(np.arctan2(upward[0], upward[1])))))
-    moved = equation.motion(positions) @ head.skin.frame.T
+    moved = head.skin.to_frame(equation.motion(positions))
     samples = skin_samples(head.skin, equation.virtual)
     weights = solve_weights_at(head.skin, samples, moved, head.rig.ranges)
     share = explained_share(head.skin, samples, moved, weights)
@@ -240,7 +240,7 @@ def _simulated(head: Head, seed: int, *, numbered: bool) -> tuple[float, float, 
     blinks = [i for i, name in enumerate(head.rig.shapes) if name.lower().startswith("eyeblink")]
     truth = take.weights[:, blinks]
     peaks = truth > np.quantile(truth, 0.97, axis=0)
-    places = equation.virtual.places(head.deformer.neutral) @ head.skin.frame.T
+    places = head.skin.to_frame(equation.virtual.places(head.deformer.neutral))
     away = np.linalg.norm(places - head.skin.positions[take.samples], axis=1)
     bias = float(error[:, blinks][peaks].mean())
     return surface_rms_mm(error, gram), bias, float(np.median(away))

@@ -78,7 +78,7 @@ def test_the_mouth_is_where_a_person_sees_it(shared_data: Path, demo, name: str)
     rig, skin = demo if own else head_of(shared_data / "rigs" / f"{name}.usdc")
     found = find_landmarks(skin, rig.shapes)
     for corner in ("mouth_L", "mouth_R"):
-        np.testing.assert_allclose(found[corner][:2], seen[corner], atol=2.5)
+        np.testing.assert_allclose(skin.from_frame(found[corner])[:2], seen[corner], atol=2.5)
 
 
 def test_a_body_under_the_face_does_not_widen_the_mouth(demo) -> None:
@@ -167,18 +167,14 @@ def test_a_rig_without_blinks_or_a_jaw_has_no_landmarks_rather_than_wrong_ones(d
 @pytest.mark.parametrize("size", [0.1, 25.4])
 def test_landmarks_are_at_the_same_features_of_a_rig_in_another_unit(demo, size: float) -> None:
     rig, skin = demo
-    other = replace(
-        skin,
-        positions=skin.positions * size,
-        areas=skin.areas * size**2,
-        deltas=skin.deltas * size,
-        sagittal_x=skin.sagittal_x * size,
-        size_mm=skin.size_mm * size,
+    deformer = Deformer(rig)
+    other = sample_face_skin(
+        size * deformer.neutral, deformer.triangles, size * deformer.shapes.target_offsets()
     )
     found, scaled = find_landmarks(skin, rig.shapes), find_landmarks(other, rig.shapes)
     assert scaled.keys() == found.keys()
-    away = [np.linalg.norm(scaled[name] / size - place) for name, place in found.items()]
-    assert max(away) < 3.0
+    away = [np.linalg.norm(scaled[name] - place) for name, place in found.items()]
+    assert max(away) < 1e-3
 
 
 def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
@@ -203,7 +199,7 @@ def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
     away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - places, axis=1)
     assert placed.by_labels
     assert away.max() < 5.0
-    assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.15 * 0.9), rel=0.05)
+    assert placed.virtual.motion_scale == pytest.approx(skin.unit / np.sqrt(1.15 * 0.9), rel=0.05)
 
 
 def test_labels_place_markers_on_a_rig_with_foreign_names(demo) -> None:
@@ -235,7 +231,7 @@ def numbered_labels(skin: FaceSkin, shapes, at) -> tuple[str, ...]:
     names, counts, labels = list(found), {}, []
     for place in at:
         away = np.linalg.norm(np.array(list(found.values())) - place, axis=1)
-        near = names[away.argmin()].split("_")[0] if away.min() < 22 else "cheek"
+        near = names[away.argmin()].split("_")[0] if away.min() < 25 else "cheek"
         part = {"eye": "lid", "lip": "mouth"}.get(near, near)
         name = f"{part}_{'L' if place[0] > skin.sagittal_x else 'R'}"
         counts[name] = counts.get(name, 0) + 1
@@ -262,7 +258,7 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(coarse_demo)
     placed = place_markers(cloud, skin, rig.shapes)
     away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - at, axis=1)
     assert np.median(away) < 1.5
-    assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.1 * 0.95), rel=0.08)
+    assert placed.virtual.motion_scale == pytest.approx(skin.unit / np.sqrt(1.1 * 0.95), rel=0.08)
 
 
 @pytest.mark.usefixtures("placed_once", "few_starts")
@@ -276,7 +272,7 @@ def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(coarse_de
     placed = place_markers(cloud, skin, rig.shapes)
     assert not placed.by_labels
     away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - at, axis=1)
-    assert np.median(away) < 15.0  # 60 by motion
+    assert np.median(away) < 18.0  # 60 by motion
 
 
 def test_a_place_that_a_person_gave_is_kept(demo) -> None:
@@ -285,7 +281,7 @@ def test_a_place_that_a_person_gave_is_kept(demo) -> None:
     names = ("nose_tip", "chin", "mouth_L", "mouth_R", "lid_upper_L")
     places = np.array([found[name] for name in names])
     cloud = marker_cloud(tuple("abcde"), places, places[None][:0])
-    pins = {row: place @ skin.frame for row, place in enumerate(places)}
+    pins = {row: skin.from_frame(place) for row, place in enumerate(places)}
     placed = place_markers(cloud, skin, rig.shapes, pinned=pins)
     away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - places, axis=1)
     assert away.max() < 3.0  # the distance between samples
@@ -418,7 +414,11 @@ def test_landmarks_of_images_are_placed_at_the_rigs_own(demo, tracker: str) -> N
     rng = np.random.default_rng(1)
     on_rig = np.stack([found[place] for place in pairs.values()])
     more = on_rig[: len(labels) - len(pairs)] * [1, 1, 0.95]
-    performer = np.concatenate([on_rig, more]) @ skin.frame * [0.9, 0.85, 0.8] + [5.0, 40.0, -900.0]
+    performer = skin.from_frame(np.concatenate([on_rig, more])) * [0.9, 0.85, 0.8] + [
+        5.0,
+        40.0,
+        -900.0,
+    ]
     performer += rng.normal(0, 0.5, performer.shape)
     misleading = performer + rng.normal(0, 1.0, (40, *performer.shape))  # noise of the detection
     cloud = marker_cloud(labels, performer, misleading)

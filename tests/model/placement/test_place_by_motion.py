@@ -51,11 +51,20 @@ def errors(face, actor, placed):
     return np.linalg.norm(found - face.points[actor.carriers], axis=1)
 
 
+def test_a_rig_of_another_size_has_the_markers_at_the_same_places(face, skin, actor, placed):
+    size = 0.3
+    small = coarse_face_skin(size * face.points, face.triangles, size * face.flat_offsets)
+    found = place(small, actor.neutral, actor.positions).virtual
+    away = np.linalg.norm(found.places(face.points) - placed.virtual.places(face.points), axis=1)
+    assert np.mean(away > 0.01) < 0.05  # rounding may choose another of two equal samples
+    assert found.motion_scale == pytest.approx(size * placed.virtual.motion_scale, rel=0.005)
+
+
 def test_finds_known_markers_without_landmarks(face, skin, actor, placed):
     error = errors(face, actor, placed)
     assert np.median(error) < 4
     assert np.quantile(error, 0.9) < 8
-    moved = character_motion(placed.virtual, actor.positions, actor.neutral) @ skin.frame.T
+    moved = skin.to_frame(character_motion(placed.virtual, actor.positions, actor.neutral))
     ranges = np.tile([0.0, 1.0], (len(skin.deltas), 1))
     samples = skin_samples(skin, placed.virtual)
     weights = solve_weights_at(skin, samples, moved, ranges)
@@ -89,7 +98,7 @@ def test_right_places_are_more_probable_than_others_of_a_head_band_that_slips(sk
 
 
 def test_weights_are_followed_from_samples_nearby(skin, actor, placed):
-    moved = character_motion(placed.virtual, actor.positions, actor.neutral) @ skin.frame.T
+    moved = skin.to_frame(character_motion(placed.virtual, actor.positions, actor.neutral))
     ranges = np.tile([0.0, 1.0], (len(skin.deltas), 1))
     samples = skin_samples(skin, placed.virtual)
     aside = KDTree(skin.positions).query(skin.positions[samples] + (4.0, 2.0, 0.0))[1]
@@ -179,7 +188,7 @@ def test_frames_with_unseen_markers_are_avoided(face, skin, actor):
     spoiled[::3, ::5] = 0
     visible[::3, ::5] = False
     placed = place(skin, actor.neutral, spoiled, visible=visible)
-    assert np.median(errors(face, actor, placed)) < 3
+    assert np.median(errors(face, actor, placed)) < 3.5
 
 
 def test_a_take_of_one_frame_is_placed_by_its_shape_alone(face, skin, actor):

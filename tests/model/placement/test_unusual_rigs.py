@@ -27,7 +27,7 @@ def coarse_skin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def landmarks(rig: Rig) -> dict[str, FloatArray]:
     skin = Deformer(rig).face_skin()
-    return {name: at @ skin.frame for name, at in find_landmarks(skin, rig.shapes).items()}
+    return {name: skin.from_frame(at) for name, at in find_landmarks(skin, rig.shapes).items()}
 
 
 @pytest.fixture(scope="module")

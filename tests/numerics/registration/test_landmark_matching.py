@@ -27,7 +27,7 @@ PLACES = np.array(
 
 def face(places: np.ndarray = PLACES, area: float = 20_000.0) -> FaceLandmarks:
     names = tuple(f"landmark_{i}" for i in range(len(places)))
-    return FaceLandmarks(names, places, np.full(len(places), 6.0), area, 1.0)
+    return FaceLandmarks(names, places, np.full(len(places), 6.0), area)
 
 
 def test_one_marker_on_a_landmark_has_the_probability_of_the_mixture() -> None:

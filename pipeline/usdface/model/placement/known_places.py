@@ -44,7 +44,7 @@ middle half a brow from its own; OpenFace's chin is the lowest point, the rig's 
 
 
 def _places_of_images(
-    cloud: MarkerCloud, landmarks: dict[str, FloatArray], unit: float, without: Collection[int]
+    cloud: MarkerCloud, landmarks: dict[str, FloatArray], without: Collection[int]
 ) -> list[KnownPlace]:
     """Return the places of landmarks detected in images; see `places_by_labels`."""
     column = {label: row for row, label in enumerate(cloud.labels) if row not in without}
@@ -56,14 +56,13 @@ def _places_of_images(
             markers = tuple(column[label] for label in labels if label in column)
             if markers and stem + side in landmarks:
                 place = landmarks[stem + side]
-                places.append(KnownPlace(markers, place, spread * unit, stem + side))
+                places.append(KnownPlace(markers, place, spread, stem + side))
     return places
 
 
 def places_by_labels(
     cloud: MarkerCloud,
     landmarks: dict[str, FloatArray],
-    unit: float,
     *,
     without: Collection[int] = (),
 ) -> list[KnownPlace]:
@@ -74,13 +73,11 @@ def places_by_labels(
 
     Parameters
     ----------
-    unit : float
-        Size of the rig's face over an adult's.
     without : collection of int
         Markers to leave out.
     """
     if are_image_landmarks(cloud.labels):
-        return _places_of_images(cloud, landmarks, unit, without)
+        return _places_of_images(cloud, landmarks, without)
     groups: dict[tuple[str, ...], list[int]] = {}
     spreads = {}
     for marker, label in enumerate(cloud.labels):
@@ -92,7 +89,7 @@ def places_by_labels(
     for names, markers in groups.items():
         scatter = rms_radius(cloud.neutral[markers])
         mean = np.mean([landmarks[name] for name in names], axis=0)
-        spread = float(np.hypot(spreads[names], scatter)) * unit
+        spread = float(np.hypot(spreads[names], scatter))
         places.append(KnownPlace(tuple(markers), mean, spread, " and ".join(names)))
     return places
 
@@ -104,9 +101,8 @@ def marked_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLa
     return FaceLandmarks(
         names,
         np.array([landmarks[name] for name in names]).reshape(-1, 3),
-        np.array([landmark_spread_mm(name) for name in names]) * skin.unit,
+        np.array([landmark_spread_mm(name) for name in names]),
         float(skin.areas[activity > _ACTIVE_SHARE * activity.max()].sum()),
-        skin.unit,
     )
 
 

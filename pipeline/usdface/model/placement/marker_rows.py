@@ -62,9 +62,7 @@ def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]
     return rows
 
 
-def rows_by_place(
-    places: ArrayLike, landmarks: Mapping[str, FloatArray], *, unit: float
-) -> list[IntArray]:
+def rows_by_place(places: ArrayLike, landmarks: Mapping[str, FloatArray]) -> list[IntArray]:
     """Return the markers of each row as `rows_by_label` does, by the landmarks that they lie near.
 
     Parameters
@@ -73,8 +71,6 @@ def rows_by_place(
         On the rig at rest, in the frame of the landmarks [mm].
     landmarks : mapping of str to (3,) array
         As `find_landmarks` names them; rows that lack one are left out.
-    unit : float
-        Size of the face, of an adult's 1.
     """
     at = np.asarray(places, np.float64)
     lines = [(corners[0], row, corners[1]) for row, corners in _CORNERS.items() if corners]
@@ -83,11 +79,11 @@ def rows_by_place(
         return []
     away = np.stack([_distance(at[:, :2], np.array(path)[:, :2]) for path in paths])
     nearest = np.nan_to_num(away, nan=np.inf).min(axis=0)
-    is_of = (away <= nearest + _SHARED_MM * unit) & (away < ROW_REACH_MM * unit)
+    is_of = (away <= nearest + _SHARED_MM) & (away < ROW_REACH_MM)
     shared = is_of.sum(axis=0) > 1
     for corner in [end for path in paths for end in (path[0], path[-1])]:
         from_corner = np.linalg.norm(at - corner, axis=1)
-        beside = np.flatnonzero(shared & (from_corner < 2 * ROW_REACH_MM * unit))
+        beside = np.flatnonzero(shared & (from_corner < 2 * ROW_REACH_MM))
         for marker in beside[from_corner[beside].argsort()][1:].tolist():
             is_of[:, marker] = np.arange(len(paths)) == away[:, marker].argmin()
     members = [np.flatnonzero(each) for each in is_of if each.sum() >= _LEAST_PLACED]

@@ -134,7 +134,7 @@ def pose_errors_at(
     positions = cloud.neutral + cloud.motion
     return find_pose_errors(
         virtual,
-        skin.deltas[:, samples] @ skin.frame,
+        skin.from_frame(skin.deltas[:, samples]),
         cloud.neutral,
         positions,
         visible=np.ones(positions.shape[:2], np.bool_),
@@ -150,9 +150,9 @@ def _place(
     pinned: dict[int, FloatArray],
 ) -> tuple[MarkerPlacement, IntArray]:
     landmarks = find_landmarks(skin, shapes)
-    pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in pinned.items()}
-    known = places_by_labels(cloud, landmarks, skin.unit, without=pins)
-    given = [KnownPlace((marker,), at, _PIN_SPREAD_MM * skin.unit) for marker, at in pins.items()]
+    pins = {m: skin.to_frame(np.asarray(at, float)) for m, at in pinned.items()}
+    known = places_by_labels(cloud, landmarks, without=pins)
+    given = [KnownPlace((marker,), at, _PIN_SPREAD_MM) for marker, at in pins.items()]
     inputs = PlacementInputs(
         cloud,
         skin,
@@ -185,12 +185,11 @@ def _lift_above_lid_margins(
     inputs: PlacementInputs, landmarks: dict[str, FloatArray], samples: IntArray
 ) -> None:
     """Move markers of upper lids that lie below the lid's margin above it."""
-    radius = _MARKER_RADIUS_MM * inputs.skin.unit
     for marker, label in enumerate(inputs.cloud.labels):
         hint = label_hint(label)
         if set(hint.landmarks) == {f"lid_crease_{hint.side}"} <= landmarks.keys():
-            heights = inputs.skin.positions[:, 1]
-            above = np.flatnonzero(heights >= landmarks[f"lid_upper_{hint.side}"][1] + radius)
+            least = landmarks[f"lid_upper_{hint.side}"][1] + _MARKER_RADIUS_MM
+            above = np.flatnonzero(inputs.skin.positions[:, 1] >= least)
             place = inputs.skin.positions[samples[marker]]
             away = ((inputs.skin.positions[above] - place) ** 2).sum(axis=1)
             samples[marker] = above[away.argmin()]
@@ -210,6 +209,6 @@ def _virtual_markers(
     return VirtualMarkers(
         skin.corners[samples],
         skin.shares[samples],
-        float(np.sqrt(max(scale[0] * scale[1], 1e-12))),
+        skin.unit * float(np.sqrt(max(scale[0] * scale[1], 1e-12))),
         skin.frame.T @ rotation,
     )

@@ -12,7 +12,7 @@ from usdface.numerics.registration.cloud_alignment import (
     align_cloud,
     align_landmarks,
 )
-from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 from usdface.numerics.registration.landmark_matching import FaceLandmarks, match_landmarks
 from usdface.numerics.registration.motion_correspondence import place_by_motion
 from usdface.numerics.registration.motion_search import (
@@ -131,9 +131,11 @@ def candidate_by_labels(inputs: PlacementInputs) -> PlacementCandidate:
     middles = _middles(inputs, levelled)
     spreads = np.array([each.spread_mm for each in inputs.landmarks])
     # A given place is exact, but differing proportions keep the transform from reaching it.
-    least = _PROPORTION_SPREAD_MM * inputs.skin.unit
     fit = fit_in_plane(
-        middles, targets, np.maximum(spreads, least), centre_x=inputs.skin.sagittal_x
+        middles,
+        targets,
+        np.maximum(spreads, _PROPORTION_SPREAD_MM),
+        centre_x=inputs.skin.sagittal_x,
     )
     return _settle(inputs, frame, levelled, fit)
 
@@ -221,7 +223,7 @@ def _fit_to(
     inputs: PlacementInputs, candidate: PlacementCandidate, turned: FloatArray
 ) -> Alignment:
     """Fit the transform in the plane of symmetry to the settled positions."""
-    spreads = np.full(len(turned), _WARPED_SPREAD_MM * inputs.features.unit)
+    spreads = np.full(len(turned), _WARPED_SPREAD_MM)
     warped = candidate.placement.warped
     return fit_in_plane(turned, warped, spreads, centre_x=inputs.skin.sagittal_x)
 
@@ -239,7 +241,7 @@ def _value(
     places = fit.apply(turned)
     away = np.linalg.norm(placement.warped - places, axis=1)
     value = LANDMARK_VALUE * match_landmarks(places, inputs.features).score
-    value -= _WARP_COST * float(away.mean()) / skin.size_mm + size_cost(fit, inputs.usual_scale)
+    value -= _WARP_COST * float(away.mean()) / TYPICAL_SIZE_MM + size_cost(fit, inputs.usual_scale)
     if inputs.landmarks:
         misses = _middles(inputs, placement.warped) - [each.place for each in inputs.landmarks]
         spreads = np.array([each.spread_mm for each in inputs.landmarks])

@@ -73,11 +73,11 @@ def words_on_missing_shapes(
     samples : (markers,) int array
         Sample of the skin under each marker.
     moved : (frames, markers, 3) float array
-        Motion of the markers in the face's frame, at the rig's size [mm].
+        Motion of the markers in the face's frame [mm].
     ranges : (shapes, 2) float array
     """
     motion = np.sqrt((moved**2).sum(axis=2).mean(axis=0))
-    moving = motion > _STILL_MM * skin.unit
+    moving = motion > _STILL_MM
     moving[[label.startswith("iris_") for label in labels]] = False  # eyeballs have joints
     template = fit_region_template(skin, shapes)
     regions = _marker_regions(labels, skin, template, samples)
@@ -110,7 +110,7 @@ def words_on_missing_shapes(
     left = _unfollowed_mm(skin, samples, moved, ranges)
     left[~moving | rest | np.isin(regions, list(missing))] = 0.0
     if placed and left.any():
-        worst = [f"{labels[m]} {left[m]:.0f} mm" for m in np.argsort(-left) if left[m]]
+        worst = [f"{labels[m]} {skin.unit * left[m]:.0f} mm" for m in np.argsort(-left) if left[m]]
         words.append(
             f"shapes of the rig do not follow {first_few(worst, most=3)}, as of skin that a joint "
             "moves: no reference or tuning helps; add a shape for it"
@@ -150,7 +150,7 @@ def _owners(
     meanings = read_meanings(shapes)
     hidden = set(gaze_and_tongue_shapes(shapes).tolist())
     away, near = KDTree(skin.positions[samples]).query(skin.positions)
-    cells = np.where(away < _CELL_MM * skin.unit, regions[near], "")
+    cells = np.where(away < _CELL_MM, regions[near], "")
     masks = np.array([cells == region for region in REGIONS])
     owners = []
     for shape, (name, size) in enumerate(zip(shapes, sizes, strict=True)):
@@ -184,7 +184,7 @@ def _unfollowed_mm(
     away = _left_motion(skin, samples, moved, ranges)
     left, motion = (np.sqrt((each**2).sum(axis=2).mean(axis=0)) for each in (away, moved))
     follows = left**2 < (1 - _UNFOLLOWED_SHARE) * motion**2
-    follows |= left < _UNFOLLOWED_MM * skin.unit
+    follows |= left < _UNFOLLOWED_MM
     return np.asarray(np.where(follows, 0.0, left))
 
 
@@ -200,7 +200,7 @@ def _left_motion(
 def _closes_eyes(skin: FaceSkin, shapes: tuple[str, ...], owners: np.ndarray) -> bool:
     """Whether a shape closes an eye: by its name or, if that tells nothing, by its displacement."""
     meanings = read_meanings(shapes)
-    travel = -skin.deltas[:, :, 1].min(axis=1, initial=0.0) / skin.unit
+    travel = -skin.deltas[:, :, 1].min(axis=1, initial=0.0)
     return any(
         mm > (0.0 if meanings[name].motion == _BLINK else _LID_TRAVEL_MM)
         for name, owner, mm in zip(shapes, owners, travel, strict=True)

@@ -7,7 +7,6 @@ and its corners are where they dimple.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -97,11 +96,6 @@ _CREASE_OF_EYE = 0.45
 """Height of the crease above the margin over the eye's opening, if no brow shape is known."""
 
 
-_LARGEST_RATIO = 2.0
-"""Ratio of a face's size to an adult's from which it is scaled to that size, as this module's
-distances are those of adults."""
-
-
 def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
     """Return landmarks by name, each a position in the face's frame [mm].
 
@@ -113,22 +107,6 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
     shapes : sequence of str
         Names of the rig's shapes, in the order of the skin's deltas.
     """
-    unit = skin.unit
-    if 1 / _LARGEST_RATIO <= unit <= _LARGEST_RATIO:
-        return _find(skin, shapes)
-    adult = replace(
-        skin,
-        positions=skin.positions / unit,
-        areas=skin.areas / unit**2,
-        deltas=skin.deltas / unit,
-        sagittal_x=skin.sagittal_x / unit,
-        size_mm=TYPICAL_SIZE_MM,
-    )
-    return {name: place * unit for name, place in _find(adult, shapes).items()}
-
-
-def _find(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
-    """Return the landmarks of a face about as large as an adult's."""
     moved = _displacements(skin, shapes)
     if not {("eyeblink", "L"), ("eyeblink", "R"), _JAW} <= moved.keys():
         recognised = recognise_shapes(skin)
@@ -217,7 +195,7 @@ def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str,
 def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the mouth's middle and corners, on the seam where the jaw parts neighbours."""
     at, size = skin.positions, np.linalg.norm(jaw, axis=1)
-    pairs = KDTree(at).query_pairs(_SEAM_REACH * skin.size_mm, output_type="ndarray")
+    pairs = KDTree(at).query_pairs(_SEAM_REACH * TYPICAL_SIZE_MM, output_type="ndarray")
     lower, upper = np.where(
         (size[pairs[:, 0]] > size[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1]
     ).T
@@ -237,7 +215,7 @@ def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict
     middle = np.median(line[central], axis=0)
     middle[0] = skin.sagittal_x
     found = {"mouth_middle": middle}
-    level = abs(line[:, 1] - middle[1]) < _MOUTH_LEVEL * skin.size_mm
+    level = abs(line[:, 1] - middle[1]) < _MOUTH_LEVEL * TYPICAL_SIZE_MM
     for side, sign in _SIDES:
         along = np.sort(np.append(0.0, np.maximum(sign * across[level], 0.0)))
         breaks = np.flatnonzero(np.diff(along) > 6.0)  # beyond a break it is another line
@@ -341,7 +319,7 @@ def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
             if energy.sum() < _ALIKE_SHARE * ((delta**2).sum(axis=1) @ skin.areas):
                 continue  # what a shape of the other side leaves here
             centre, radius = _spread(skin, energy)
-            beside = sign * (centre[0] - skin.sagittal_x) > _LID_BESIDE * skin.size_mm
+            beside = sign * (centre[0] - skin.sagittal_x) > _LID_BESIDE * TYPICAL_SIZE_MM
             small = beside and radius < _LID_RADIUS
             peak = float(np.linalg.norm(lid, axis=1).max())
             if small and energy[still].sum() > 0.5 * energy.sum() and peak > farthest:
@@ -349,7 +327,7 @@ def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
     if len(blinks) < len(_SIDES):
         return {}
     apart = np.linalg.norm(centres["L"] - skin.mirrored(centres["R"][None])[0])
-    if apart > _LID_RADIUS * skin.size_mm:
+    if apart > _LID_RADIUS * TYPICAL_SIZE_MM:
         return {}
     return {("eyeblink", name): lid for name, lid in blinks.items()} | {("jawopen", ""): jaw}
 
@@ -358,7 +336,7 @@ def _spread(skin: FaceSkin, energy: FloatArray) -> tuple[FloatArray, float]:
     """Return centroid and RMS radius, over the face's size, of a motion's energy."""
     centre = energy @ skin.positions / energy.sum()
     squared = energy @ ((skin.positions - centre) ** 2).sum(axis=1) / energy.sum()
-    return centre, float(np.sqrt(squared)) / skin.size_mm
+    return centre, float(np.sqrt(squared)) / TYPICAL_SIZE_MM
 
 
 def _falls(delta: FloatArray, least: float) -> bool:

@@ -80,7 +80,7 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     template = fit_region_template(skin, names)
     if template is None:
         return names
-    points = deformer.neutral @ skin.frame.T
+    points = skin.to_frame(deformer.neutral)
     off_skin = np.ones(len(points), dtype=np.bool_)
     off_skin[skin.corners] = False
     found = list(names)

@@ -13,7 +13,7 @@ from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.model.placement.place import FEWEST_PINS, pose_errors_at, without_errors
 from usdface.model.placement.region_shapes import words_on_missing_shapes
 from usdface.model.placement.rig_landmarks import find_landmarks
-from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 from usdface.numerics.registration.skin_placement import (
     KnownPlace,
     explained_share,
@@ -109,12 +109,12 @@ def judge_placement(
     placed : collection of int
         Markers placed by a person.
     """
-    local = at @ skin.frame.T
+    local = skin.to_frame(at)
     nearest = KDTree(skin.positions)
     samples = np.asarray(nearest.query(local)[1], np.int64)
     landmarks = find_landmarks(skin, shapes)
-    known = places_by_labels(cloud, landmarks, skin.unit)
-    far = _far_markers(local, known, placed)
+    known = places_by_labels(cloud, landmarks)
+    far = _far_markers(local, known, placed, skin.unit)
     roll = _roll_degrees(replace(cloud, neutral=local))
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
     reasons.append(_on_neck(cloud.labels, local, landmarks))
@@ -122,16 +122,16 @@ def judge_placement(
     if len(cloud.motion):
         errors = pose_errors_at(cloud, skin, virtual, samples)
         cloud = without_errors(certain_errors(errors), cloud)
-        moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
+        moved = skin.to_frame(virtual.motion_scale * (cloud.motion @ virtual.rotation.T))
         weights = solve_weights_at(skin, samples, moved, ranges)
         explained = explained_share(skin, samples, moved, weights)
-        shift_mm = _SHIFT_SHARE * skin.size_mm
+        shift_mm = _SHIFT_SHARE * TYPICAL_SIZE_MM
         gains = {}
         for way, step in _SHIFTS.items():
             there = np.asarray(nearest.query(local + np.multiply(step, shift_mm))[1], np.int64)
             shifted = solve_weights_at(skin, there, moved, ranges, start=weights)
             gains[way] = explained_share(skin, there, moved, shifted) - explained
-        reasons.append(_better_elsewhere(gains, shift_mm))
+        reasons.append(_better_elsewhere(gains, skin.unit * shift_mm))
         missing = words_on_missing_shapes(
             cloud.labels, skin, shapes, samples, moved, ranges, placed=by_labels or bool(placed)
         )
@@ -151,7 +151,7 @@ def judge_placement(
         explained,
         roll,
         {cloud.labels[marker]: f"{away:.0f} mm" for marker, (away, _) in far.items()},
-        {cloud.labels[marker]: known.place @ skin.frame for marker, (_, known) in far.items()},
+        {cloud.labels[marker]: skin.from_frame(known.place) for marker, (_, known) in far.items()},
     )
 
 
@@ -207,15 +207,15 @@ def _by_motion(known: int, explained: float) -> _Reason:
 
 
 def _far_markers(
-    local: FloatArray, known: Sequence[KnownPlace], placed: Collection[int]
+    local: FloatArray, known: Sequence[KnownPlace], placed: Collection[int], unit: float
 ) -> dict[int, tuple[float, KnownPlace]]:
-    """Return distance [mm] and landmark of markers far from it, in descending order."""
+    """Return distance on the rig [mm] and landmark of markers far from it, in descending order."""
     far: dict[int, tuple[float, KnownPlace]] = {}
     for each in known:
         away = float(np.linalg.norm(each.step(local)))
         doubled = 2 if set(each.markers) & set(placed) else 1
         if away > doubled * _FAR_SPREADS * each.spread_mm:
-            far |= {marker: (away, each) for marker in each.markers}
+            far |= {marker: (unit * away, each) for marker in each.markers}
     return dict(sorted(far.items(), key=lambda each: -each[1][0]))
 
 
@@ -243,7 +243,7 @@ def _tilt(roll: float) -> _Reason:
 
 def _one_sided(local: FloatArray, skin: FaceSkin) -> _Reason:
     across = local[:, 0] - skin.sagittal_x
-    beside = across[np.abs(across) > _MIDLINE_MM * skin.unit]
+    beside = across[np.abs(across) > _MIDLINE_MM]
     left = float((beside > 0).mean()) if len(beside) else 0.5
     if min(left, 1 - left) >= _ONE_SIDE_SHARE:
         return _FINE

@@ -31,7 +31,7 @@ from usdface.numerics.registration.cloud_alignment import (
     align_cloud,
     align_pairs,
 )
-from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 CLOUD_POINTS = 400
@@ -134,7 +134,7 @@ def _align(one: "_Face", other: "_Face") -> tuple[Alignment, float]:
             areas=other.skin.areas,
             amplitude=one.skin.activity()[::stride],
         )
-    return found, found.residual_mm / other.skin.size_mm
+    return found, found.residual_mm / TYPICAL_SIZE_MM
 
 
 def match_deformations(
@@ -361,7 +361,7 @@ class _Face:
     def has_surface_of(self, other: "_Face") -> bool:
         """Return whether both are the same head at rest, whatever its shapes are called."""
         one, two = self.skin.positions, other.skin.positions
-        tolerance_mm = _SAME_SHARE * self.skin.size_mm
+        tolerance_mm = _SAME_SHARE * TYPICAL_SIZE_MM
         return one.shape == two.shape and bool(np.abs(one - two).max() < tolerance_mm)
 
 

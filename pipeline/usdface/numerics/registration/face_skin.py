@@ -11,7 +11,14 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, rms_radius
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    rms_radius,
+)
 from usdface.core.last_result import cache_last_result
 from usdface.numerics.registration.virtual_markers import deltas_at
 from usdface.numerics.rigid.rigid_alignment import align_rigid, alignment_residuals
@@ -172,17 +179,22 @@ _TRIMMED_SHARE = 0.8
 
 @dataclass(frozen=True)
 class FaceSkin:
-    """Samples of the outer skin, and their displacements by every shape."""
+    """Samples of the outer skin, and their displacements by every shape, at an adult's size.
+
+    Lengths that are stated on an adult's face so apply to rigs of any size.
+    """
 
     corners: IntArray
     """(samples, 3): corners of each sample's triangle, as points of the rig."""
     shares: FloatArray
     """(samples, 3): their barycentric weights."""
     frame: FloatArray
-    """(3, 3): rows are the character's left, up and forward; ``own = points @ frame.T``."""
+    """(3, 3): rows are the character's left, up and forward."""
+    unit: float
+    """Size of the rig's face over an adult's, `TYPICAL_SIZE_MM`."""
     positions: FloatArray
     normals: FloatArray
-    """`positions`, `normals`: (samples, 3): at rest, in the face's frame [mm]."""
+    """`positions`, `normals`: (samples, 3): at rest, in the face's frame [mm]; see `to_frame`."""
     areas: FloatArray
     """(samples,): area that each represents [mm^2]."""
     deltas: Float32Array
@@ -190,13 +202,14 @@ class FaceSkin:
     those that carry the head or hide a part."""
     sagittal_x: float
     """Offset of the plane of symmetry along its normal, the X axis [mm]."""
-    size_mm: float
-    """Root mean square radius of the moving part."""
 
-    @property
-    def unit(self) -> float:
-        """Size of the face over an adult's, a factor of lengths that are stated on an adult's."""
-        return self.size_mm / TYPICAL_SIZE_MM
+    def to_frame(self, points: RealArray) -> FloatArray:
+        """Return points or displacements of the rig, (..., 3), in the face's frame."""
+        return np.asarray(points @ self.frame.T / self.unit, np.float64)
+
+    def from_frame(self, points: RealArray) -> FloatArray:
+        """Return points or displacements in the face's frame, (..., 3), in the rig's space."""
+        return np.asarray(self.unit * (points @ self.frame), np.float64)
 
     def activity(self) -> FloatArray:
         """Return the root of the summed squared displacements of each sample: (samples,) [mm]."""
@@ -230,23 +243,24 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
     frame = np.stack([left, [0.0, 1.0, 0.0], facing])
     skin = sample_outer_surface(points, triangles, facing=facing, activity=activity)
     corners, shares = skin.corners, skin.weights
-    positions = skin.positions @ frame.T
     normals = triangle_normals(points, corners) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
     by_axis = np.ascontiguousarray(np.moveaxis(deltas_at(matrix, corners, shares), 2, 1))
     deltas = np.moveaxis((frame @ by_axis).astype(np.float32), 1, 2)
     moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
+    unit = rms_radius(skin.positions, moved) / TYPICAL_SIZE_MM
+    positions = skin.positions @ frame.T / unit
     return FaceSkin(
         corners,
         shares,
         frame,
+        unit,
         positions,
         normals,
-        skin.areas,
-        deltas,
+        skin.areas / unit**2,
+        deltas / np.float32(unit),
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
-        rms_radius(positions, moved),
     )
 
 

@@ -41,8 +41,6 @@ class FaceLandmarks:
     """(landmarks,): standard deviation of markers about them [mm]."""
     area: float
     """Area of the moving skin [mm^2]."""
-    unit: float
-    """Size of the face over that of an adult's."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def match_landmarks(
     if not len(face.names):
         none = np.zeros(0, np.int64)
         return LandmarkMatch(none, none, np.zeros(0), 0.0)
-    variance = face.spreads**2 + (proportion_mm * face.unit) ** 2
+    variance = face.spreads**2 + proportion_mm**2
     away = cdist(points, face.places, "sqeuclidean")
     density = len(points) / face.area
     ratio = _MARKED_SHARE * np.exp(-away / (2 * variance)) / (2 * np.pi * variance) / density
@@ -107,7 +105,7 @@ def refine_fit(
         match = match_landmarks(fit.apply(levelled), face, proportion_mm=proportion)
         if len(match.markers) < _FEWEST_PAIRS:
             break
-        spreads = np.hypot(face.spreads[match.landmarks], _PROPORTIONS_MM[-1] * face.unit)
+        spreads = np.hypot(face.spreads[match.landmarks], _PROPORTIONS_MM[-1])
         fit = fit_in_plane(
             levelled[match.markers],
             face.places[match.landmarks],

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from usdface.core.arrays import FloatArray
 from usdface.numerics.registration.cloud_alignment import Alignment
-from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 from usdface.numerics.registration.landmark_matching import (
     FaceLandmarks,
     match_landmarks,
@@ -103,7 +103,7 @@ def search_by_motion(
     """
     search = _Search(levelled, skin, motion[:_MOST_FRAMES], ranges, usual_scale, landmarks)
     grid = [
-        np.array([yaw, pitch, scale, height * skin.size_mm, 0.0])
+        np.array([yaw, pitch, scale, height * TYPICAL_SIZE_MM, 0.0])
         for yaw in (1.0, -1.0)
         for pitch in _PITCHES_DEGREES
         for scale in _SCALES
@@ -111,7 +111,7 @@ def search_by_motion(
     ]
     values = [search.score(x) for x in grid]
     best = np.argsort(values)[::-1]
-    steps = np.array([0.0, 7.0, 0.07, 0.1 * skin.size_mm, 0.06 * skin.size_mm])
+    steps = np.array([0.0, 7.0, 0.07, 0.1 * TYPICAL_SIZE_MM, 0.06 * TYPICAL_SIZE_MM])
     climbed = [
         search.candidate(x[0], search.fit_of(x))
         for x in (
@@ -177,7 +177,7 @@ class _Search:
         away, near = map(np.asarray, self._tree.query(placed))
         paths = to_character(self._motion * turn, fit)
         weights = solve_weights_at(skin, near, paths, self._ranges)
-        distance = np.sqrt(np.mean(np.minimum(away, _FARTHEST_MM) ** 2)) / skin.size_mm
+        distance = np.sqrt(np.mean(np.minimum(away, _FARTHEST_MM) ** 2)) / TYPICAL_SIZE_MM
         matched = match_landmarks(placed, self._landmarks, proportion_mm=_SEARCH_PROPORTION_MM)
         score = (
             motion_value(explained_share(skin, near, paths, weights))
@@ -193,7 +193,7 @@ class _Search:
         for candidate in sorted(candidates, key=lambda candidate: -candidate.score):
             places = candidate.fit.apply(self._levelled * candidate.turn)
             distances = [np.sqrt(((other - places) ** 2).sum(axis=1).mean()) for _, other in chosen]
-            if min(distances, default=np.inf) > _SAME_MM * self._landmarks.unit:
+            if min(distances, default=np.inf) > _SAME_MM:
                 chosen.append((candidate, places))
         return [candidate for candidate, _ in chosen[:_MOST_FITS]]
 

@@ -1,6 +1,6 @@
 """Place a levelled marker cloud on the skin of a face, by landmarks, skin and motion.
 
-All positions are in the face's frame (`face_skin`); lengths in mm below are on an adult's face. The
+All positions are in the face's frame (`face_skin`), at the size of an adult's face. The
 place of each marker has these priors:
 
 * its landmark, with the standard deviation of such markers and Cauchy tails beyond 2.5 of them;
@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment
-from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 from usdface.numerics.solve.bounded_least_squares import (
     minimise_within_bounds,
     solve_bounded_least_squares,
@@ -134,7 +134,6 @@ def place_on_skin(
         Factor on the precision of the skin: less than 1 for clouds so dense that neighbours have
         the same error.
     """
-    unit = skin.unit
     aligned = fit.apply(levelled)
     tree = KDTree(skin.positions)
     paths = to_character(motion, fit)
@@ -142,15 +141,14 @@ def place_on_skin(
     weights = None
     named = len(landmarks) >= _FEWEST_LANDMARKS
     off_centre = skin.positions[:, 0] - skin.sagittal_x
-    near_plane = abs(aligned[:, 0] - skin.sagittal_x) < _CENTRAL_MM * unit
+    near_plane = abs(aligned[:, 0] - skin.sagittal_x) < _CENTRAL_MM
     across = np.where(near_plane, _CENTRAL_SPREAD_MM, np.inf)
     across[list(middle)] = np.minimum(across[list(middle)], _MIDDLE_LABEL_SPREAD_MM)
-    central = 1 / (across * unit) ** 2
+    central = 1 / across**2
     for number, reach in enumerate(_REACHES_MM):
         away, near = map(np.asarray, tree.query(warped))
         precision, target = (
-            skin_share * each
-            for each in _place_by_skin(skin, warped, near, away, reach * unit, unit)
+            skin_share * each for each in _place_by_skin(skin, warped, near, away, reach)
         )
         precision[:, 0] += central
         target[:, 0] += central * skin.sagittal_x
@@ -163,13 +161,13 @@ def place_on_skin(
         if len(paths) and (number >= 3 or not named):
             weights = solve_weights_at(skin, near, paths, ranges, start=weights)
             misfit = path_misfit(skin.deltas, weights, paths)
-            place, motion_precision = _place_by_motion(skin, warped, misfit, still, reach * unit)
+            place, motion_precision = _place_by_motion(skin, warped, misfit, still, reach)
             precision += motion_precision[:, None]
             target += motion_precision[:, None] * place
         warped = _warp(aligned, target / precision, precision, skin)
     samples = np.asarray(tree.query(warped)[1])
     if len(paths):
-        prior = cdist(warped, skin.positions, "sqeuclidean") / (2 * (_SETTLE_REACH_MM * unit) ** 2)
+        prior = cdist(warped, skin.positions, "sqeuclidean") / (2 * _SETTLE_REACH_MM**2)
         prior[prior > _SETTLE_LIMIT**2 / 2] = np.inf
         prior += central[:, None] * off_centre**2 / 2
         for known in landmarks:
@@ -245,12 +243,12 @@ def solve_weights_at(
 
 
 def _place_by_skin(
-    skin: FaceSkin, warped: FloatArray, near: IntArray, away: FloatArray, reach: float, unit: float
+    skin: FaceSkin, warped: FloatArray, near: IntArray, away: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the precision per axis, and precision times place, of the nearest skin."""
     normal = skin.normals[near]
-    along_normal = 1 / (_NORMAL_SPREAD_MM * unit) ** 2 / (1 + (away / reach) ** 2)
-    precision = normal**2 * along_normal[:, None] + 1 / (_SLIDE_SPREAD_MM * unit) ** 2
+    along_normal = 1 / _NORMAL_SPREAD_MM**2 / (1 + (away / reach) ** 2)
+    precision = normal**2 * along_normal[:, None] + 1 / _SLIDE_SPREAD_MM**2
     height = ((skin.positions[near] - warped) * normal).sum(axis=1, keepdims=True)
     return precision, precision * (warped + height * normal)
 
@@ -265,7 +263,7 @@ def _place_by_motion(
     step = place - warped
     length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
     place = warped + step * np.minimum(reach / length, 1.0)
-    return place, np.where(still, 0.0, 1 / (variance + (0.05 * skin.size_mm) ** 2))
+    return place, np.where(still, 0.0, 1 / (variance + (0.05 * TYPICAL_SIZE_MM) ** 2))
 
 
 def likelihood_moments(
@@ -350,7 +348,7 @@ def _warp(
     Its kernel is mostly mirror-symmetric: ``x`` displacements have opposite signs on the two
     sides, the others are equal.
     """
-    length, variance = _WARP_LENGTH * skin.size_mm, (_WARP_SHARE * skin.size_mm) ** 2
+    length, variance = _WARP_LENGTH * TYPICAL_SIZE_MM, (_WARP_SHARE * TYPICAL_SIZE_MM) ** 2
     same = np.exp(-0.5 * cdist(start, start, "sqeuclidean") / length**2)
     across = np.exp(-0.5 * cdist(start, skin.mirrored(start), "sqeuclidean") / length**2)
     symmetric = (1 - _ASYMMETRIC_SHARE) / 2

@@ -42,8 +42,8 @@ def lines_on_rig(
         skin = deformer.face_skin()
     except ValueError:  # no skin that shapes move
         return by_label
-    places = equation.virtual.places(deformer.neutral) @ skin.frame.T
-    return _lines(rows_by_place(places, find_landmarks(skin, shapes), unit=skin.unit))
+    places = skin.to_frame(equation.virtual.places(deformer.neutral))
+    return _lines(rows_by_place(places, find_landmarks(skin, shapes)))
 
 
 def _lines(rows: Sequence[IntArray]) -> IntArray:
