@@ -56,12 +56,13 @@ class Combination:
 
     def __str__(self) -> str:
         """Return it as in tables: ``smile_jaw = smile * jaw@0.5 (minimum)``."""
-        spans = self.spans or (None,) * len(self.parts)
+        missing = len(self.parts)  # messages also name combinations with too few weights
+        weights, spans = (*self.weights, *[1.0] * missing), (*self.spans, *[None] * missing)
         parts = [
             part
             + ("" if weight == 1.0 else f"@{weight:g}")
             + ("" if weight == 1.0 or span is None else f"[{span[0]:g} {span[1]:g}]")
-            for part, weight, span in zip(self.parts, self.part_weights, spans, strict=True)
+            for part, weight, span in zip(self.parts, weights, spans, strict=False)
         ]
         mode = "" if self.mode == "product" else f" ({self.mode})"
         return f"{self.shape} = {' * '.join(parts)}{mode}"

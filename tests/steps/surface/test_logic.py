@@ -161,7 +161,11 @@ def test_weights_show_it(rig: Path) -> None:
     [
         pytest.param("jaw_smile_L,jaw tongue", "tongue is no shape of the rig", id="missing"),
         pytest.param("jaw,smile_L\nsmile_L,jaw", "a cycle: jaw <- smile_L <- jaw", id="cycle"),
-        pytest.param("jaw50,jaw,,half", "'half' is no weight", id="text"),
+        pytest.param("jaw50,jaw,,half", "is no combination: .*'half'", id="text"),
+        pytest.param("jaw50,tongue jaw,,0.5", "tongue@0.5 [*] jaw: tongue is no", id="few weights"),
+        pytest.param(
+            "jaw50,jaw lid,,0.5\njaw50,jaw", "in two ways: jaw50 = jaw@0.5 [*] lid", id="two ways"
+        ),
     ],
 )
 def test_what_cannot_be_is_named_and_nothing_written(rig: Path, table: str, message: str) -> None:
@@ -170,6 +174,25 @@ def test_what_cannot_be_is_named_and_nothing_written(rig: Path, table: str, mess
     with pytest.raises(InputError, match=message):
         logic(rig, definition=file)
     assert not rig.with_name("logic.usda").exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '[{"shape": "jaw50", "parts": ["jaw"], "weights": [1' + 400 * "0" + "]}]",
+        '[{"shape": "jaw50", "parts": 7}]',
+        "[7]",
+        '{"combinations": 7}',
+        '{"progressions": [{"pairs": [[1e999, 1]]}], "shapes": ["jaw"], "sliders": [],'
+        ' "combos": []}',
+    ],
+    ids=["huge", "parts", "row", "list", "simplex"],
+)
+def test_json_of_wrong_types_is_refused(rig: Path, text: str) -> None:
+    file = rig.with_name("logic.json")
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"logic\.json.*(is no|is neither)"):
+        logic(rig, definition=file)
 
 
 def test_sources_that_disagree_are_refused(rig: Path) -> None:

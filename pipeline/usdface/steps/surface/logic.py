@@ -1,7 +1,7 @@
 """Define which shapes of a rig are driven by others."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, cast
@@ -193,59 +193,55 @@ def _splits(name: str, known: dict[str, str]) -> Iterator[tuple[str, ...]]:
         yield from (way for way in ways[-1] if len(set(way)) == len(way) > 1)
 
 
+_WRONG_TYPES = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""What values of other types than expected raise."""
+
+
 def read_definition(path: Path) -> tuple[Combination, ...]:
     """Read a table of combinations (.csv, .json), or a Simplex definition (.json)."""
     if path.suffix.lower() != ".json":
-        return tuple(
-            Combination(
-                str(row["shape"]),
-                tuple(str(row["parts"]).split()),
-                cast(CombinationMode, str(row.get("mode") or "product").strip()),
-                tuple(_number(each, f"{path} {where}") for each in _words(row.get("weights"))),
-                tuple(_span(each, f"{path} {where}") for each in _words(row.get("spans"))),
-            )
-            for where, row in csv_rows(path, ("shape", "parts"))
-        )
-    data = read_json(path, _LARGEST_BYTES)
-    try:
+        rows = csv_rows(path, ("shape", "parts"))
+    else:
+        data = read_json(path, _LARGEST_BYTES)
         if isinstance(data, dict) and "progressions" in data:
-            return _simplex(data, path)
-        rows = data["combinations"] if isinstance(data, dict) else data
-        return tuple(
-            Combination(
-                str(row["shape"]),
-                _names(row["parts"]),
-                cast(CombinationMode, str(row.get("mode", "product"))),
-                tuple(map(float, row.get("weights", ()))),
-                tuple((float(low), float(high)) for low, high in row.get("spans", ())),
+            try:
+                return _simplex(data, path)
+            except _WRONG_TYPES as error:
+                raise InputError(
+                    f"{path}: is no Simplex definition: {type(error).__name__} {error}; export it "
+                    "again, or state the combinations in a table"
+                ) from error
+        listed = data.get("combinations") if isinstance(data, dict) else data
+        if not isinstance(listed, list):
+            raise InputError(
+                f"{path}: is neither a table of combinations (shape, parts, mode, weights) nor a "
+                "Simplex definition; give one of these"
             )
-            for row in rows
-        )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise InputError(
-            f"{path}: is neither a table of combinations (shape, parts, mode, weights) nor a "
-            f"Simplex definition: {type(error).__name__} {error}"
-        ) from error
+        rows = [(f"combination {number}", row) for number, row in enumerate(listed, start=1)]
+    return tuple(_combination(row, f"{path} {where}") for where, row in rows)
 
 
-def _names(value: str | list[object]) -> tuple[str, ...]:
-    return tuple(value.split() if isinstance(value, str) else map(str, value))
+def _combination(row: Mapping[str, Any], where: str) -> Combination:
+    """Return the combination of a row, whose lists are words in a CSV table."""
 
+    def values(name: str) -> Iterable[Any]:
+        listed = row.get(name) or ()
+        return listed.split() if isinstance(listed, str) else listed
 
-def _words(value: object) -> list[str]:
-    return str(value or "").split()
-
-
-def _number(text: str, where: str) -> float:
     try:
-        return float(text)
-    except ValueError as error:
-        raise InputError(f"{where}: {text!r} is no weight; give a number") from error
-
-
-def _span(text: str, where: str) -> tuple[float, float]:
-    low, _, high = text.partition("-")
-    return _number(low, where), _number(high, where)
+        pairs = [each.split("-") if isinstance(each, str) else each for each in values("spans")]
+        return Combination(
+            str(row.get("shape") or ""),
+            tuple(map(str, values("parts"))),
+            cast(CombinationMode, str(row.get("mode") or "product").strip()),
+            tuple(map(float, values("weights"))),
+            tuple((float(low), float(high)) for low, high in pairs),
+        )
+    except _WRONG_TYPES as error:
+        raise InputError(
+            f"{where}: is no combination: {error}; give its shape, its parts, and perhaps mode, "
+            "weights and spans"
+        ) from error
 
 
 def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
