@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import Rig, WeightsClip
 from usdface.core.errors import InputError
 from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.error_strip import ErrorCurve
@@ -25,7 +26,7 @@ from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarker
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
 from usdface.specs.review import FramePick
 from usdface.steps.inputs.placement import placed_equation, placement_of_performance
-from usdface.steps.inputs.weight_tables import missing_shape_notes, read_weight_table
+from usdface.steps.inputs.weight_tables import WeightTable, missing_shape_notes, read_weight_table
 from usdface.steps.review.shot import Shot
 
 _BASELINE_FRAMES = 20_000
@@ -147,31 +148,48 @@ def read_keys(
 ) -> FloatArray | None:
     """Return the keys at a shot's frames, (frames, shapes); NaN at frames missing from the file.
 
-    Notes on columns that are left out, and on shapes without one, are appended.
+    Notes are appended; see `read_key_table`.
     """
     if file is None:
         return None
-    rig, frames = shot.rig, shot.frames
-    given = read_weight_table(file, known=rig.shapes, unit=unit, take=shot.take.name)
-    given.check_rate(shot.take.rate, file=file, performance=shot.performance_file)
-    table, transfer = given.by_meaning(rig.shapes, leave=rig.logic.driven)
-    table.check_numbering(
+    table, key_notes = read_key_table(
+        file,
+        shot.rig,
         shot.performance.weights,
-        columns=rig.shapes,
-        file=file,
+        unit=unit,
+        take=shot.take.name,
         performance=shot.performance_file,
     )
-    table.shapes_among(rig.shapes, file=file, owner=f"on {rig.file}")
-    truth = table.at_frames(frames, rig.shapes)
+    truth = table.at_frames(shot.frames, shot.rig.shapes)
     if np.isnan(truth).all():
         raise InputError(
-            f"{file}: has none of the frames {frames[0]}-{frames[-1]}; give keys of this take"
+            f"{file}: has none of the frames {shot.frames[0]}-{shot.frames[-1]}; give keys of this "
+            "take"
         )
-    notes += meaning_notes(transfer)
-    notes += given.notes(file, {*transfer.matched, *rig.logic.driven}, owner="on the rig")
-    solved = shot.performance.weights.names
-    notes += missing_shape_notes(file, table.names, [name for name in rig.shapes if name in solved])
+    notes += key_notes
     return truth
+
+
+def read_key_table(
+    file: Path, rig: Rig, solved: WeightsClip, *, unit: str | None, take: str, performance: Path
+) -> tuple[WeightTable, list[str]]:
+    """Read keys of a performance, its shapes matched to the rig's by meaning, and notes.
+
+    Refuses keys at another rate than the performance's, and keys without a shape of the rig. Notes
+    are on columns that are left out, and on shapes without one.
+    """
+    given = read_weight_table(file, known=rig.shapes, unit=unit, take=take)
+    given.check_rate(solved.rate, file=file, performance=performance)
+    table, transfer = given.by_meaning(rig.shapes, leave=rig.logic.driven)
+    table.check_numbering(solved, columns=rig.shapes, file=file, performance=performance)
+    table.shapes_among(rig.shapes, file=file, owner=f"on {rig.file}")
+    known = {*transfer.matched, *rig.logic.driven}
+    notes = [
+        *meaning_notes(transfer),
+        *given.notes(file, known, owner="on the rig"),
+        *missing_shape_notes(file, table.names, [n for n in rig.shapes if n in solved.names]),
+    ]
+    return table, notes
 
 
 def score(label: str, shot: Shot, weights: FloatArray, truth: FloatArray | None) -> Score:
