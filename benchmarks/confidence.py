@@ -26,7 +26,7 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
 from usdface.numerics.regression.cross_validation import surface_errors_mm
-from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
+from usdface.steps.inputs.cleaned_takes import read_markers_at, take_head_space
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
@@ -105,7 +105,9 @@ def _crosstake(counts: tuple[int, ...]) -> Iterator[Claims]:
                 crosstake.map_take(references, rig_file, "auto")
                 mapping = read_mapping(folder / "x.mapping.usdc")
                 take = TakeReader(folder / "x.clean.take.usda")
-                seen = read_markers(take, take.first_frame + crosstake.HALF, take.last_frame)
+                seen = read_markers_at(
+                    take, range(take.first_frame + crosstake.HALF, take.last_frame + 1)
+                )
                 placed = take_head_space(take, face_of_mapping(mapping)).place(seen)
                 said = predict_weights(mapping, placed.positions, visible=placed.visible)
                 wanted = truth["weights"][crosstake.HALF :].astype(float)

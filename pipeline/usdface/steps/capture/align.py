@@ -43,14 +43,8 @@ def timecode_shift(
 ) -> TimecodeShift:
     """Compare the timecode of a take's first frame with that of a video's first picture.
 
-    Parameters
-    ----------
-    take_start, video_start : str
-        SMPTE labels; empty if there are none.
-    video_rate : Fraction or None
-        Frames per second of the video; None if it varies.
-    first_picture : float
-        Time of the first picture on the video's clock [s].
+    SMPTE labels, empty if there are none; a video's rate is None if it varies. `first_picture`: its
+    time on the video's clock [s].
     """
     missing = [name for name, label in (("take", take_start), ("video", video_start)) if not label]
     if missing:

@@ -28,15 +28,12 @@ from usdface.steps.capture.clean_notes import (
     cleaning_notes,
     cleaning_summary,
 )
-from usdface.steps.inputs.cleaned_takes import check_neutral_frame
+from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, check_neutral_frame
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
 LONGEST_GAP_SECONDS = 2.0
 """Longest gap filled by default: in longer ones, other markers hardly predict the missing one."""
-
-_FEWEST_RIGID = 3
-"""Visible markers needed for the head's pose."""
 
 _SKULL_MOTION_MM = 1.0
 """Largest motion on the head of markers that count as those of the skull."""
@@ -143,10 +140,10 @@ def _check_neutral(
     check_neutral_frame(spec.take, neutral, take, "name another with --neutral")
     row = neutral - take.first_frame
     shown = int(markers.visible[row, [markers.names.index(name) for name in rigid]].sum())
-    if shown < _FEWEST_RIGID:
+    if shown < FEWEST_RIGID:
         raise InputError(
             f"{spec.take}: {shown} of the rigid markers {', '.join(rigid)} are visible at the "
-            f"neutral frame {neutral}, {_FEWEST_RIGID} are needed; choose another frame with "
+            f"neutral frame {neutral}, {FEWEST_RIGID} are needed; choose another frame with "
             "--neutral, or name more markers with --rigid"
         )
 
@@ -185,7 +182,7 @@ def _head_markers(
         name for name, mm in zip(markers.names, motion, strict=True) if mm <= _SKULL_MOTION_MM
     )
     hinted = sum(bool(label_hint(name).region) for name in markers.names)
-    if len(still) > _FEWEST_RIGID and hinted >= _LEAST_HINTED_SHARE * len(markers.names):
+    if len(still) > FEWEST_RIGID and hinted >= _LEAST_HINTED_SHARE * len(markers.names):
         notes.append(
             "no rigid markers were named; the head's pose is estimated from all markers, weighted "
             f"by the rigidity of their part of the face ({first_few(still)} have most weight)"

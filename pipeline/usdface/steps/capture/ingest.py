@@ -23,7 +23,6 @@ from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 from usdface.specs.paths import frame_range
 from usdface.steps.capture.merge_captures import (
-    CaptureSound,
     cut_frames,
     exchange_sides,
     extract_sound,
@@ -68,15 +67,14 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress) -> Step
     if limits is not None:
         take, padding = _cut(spec, take, limits)
     skipped = (take.first_frame - first, first + count - take.first_frame - take.frame_count)
-    sound = _capture_sound(spec, skipped)
-    take = replace(take, audio=spec.audio or take.audio or (sound.file if sound else None))
+    made, sound_notes = _capture_sound(spec, skipped)
+    take = replace(take, audio=spec.audio or take.audio or next(iter(made), None))
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
     notes += (*timecode_notes, *padding, *(warnings or ()), *_unused_notes(spec, take, captures))
-    notes += (sound.note,) if sound else ()
     log.info("%s: %d frames", spec.out, take.frame_count)
-    return _report(spec, take, notes, (sound.file,) if sound else ())
+    return _report(spec, take, (*notes, *sound_notes), made)
 
 
 def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
@@ -217,13 +215,16 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
     return replace(take, markers=markers)
 
 
-def _capture_sound(spec: IngestSpec, skipped: tuple[int, int]) -> CaptureSound | None:
-    """Extract the sound of the captures, without the frames skipped at both ends."""
+def _capture_sound(
+    spec: IngestSpec, skipped: tuple[int, int]
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Extract the sound of the captures, without skipped frames; return file and note, if any."""
     if spec.audio is not None:
-        return None
+        return (), ()
     out = spec.out.with_name(f"{spec.out.stem}.sound.wav")
     ours = out.exists() and spec.out.exists() and _is_sound_of(spec.out, out)
-    return extract_sound(spec.sources, out, channel=spec.audio_channel, ours=ours, skipped=skipped)
+    note = extract_sound(spec.sources, out, channel=spec.audio_channel, ours=ours, skipped=skipped)
+    return ((), ()) if note is None else ((out,), (note,))
 
 
 def _is_sound_of(path: Path, sound: Path) -> bool:

@@ -125,39 +125,19 @@ LEAST_RATE = 4000.0
 _CHUNK_FRAMES = 1 << 14
 
 
-@dataclass(frozen=True)
-class CaptureSound:
-    """A sound file made from a capture."""
-
-    file: Path
-    note: str
-
-
 def extract_sound(
     sources: Sequence[Path],
     out: Path,
     *,
-    channel: str | None = None,
-    ours: bool = False,
-    skipped: tuple[int, int] = (0, 0),
-) -> CaptureSound | None:
-    """Write the analog channel that holds sound as a WAV file.
+    channel: str | None,
+    ours: bool,
+    skipped: tuple[int, int],
+) -> str | None:
+    """Write the analog channel that holds sound as a WAV file; return a note on it.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        The captures of a take, in any order; only C3D carries analog channels.
-    channel : str, optional
-        Name of the channel. Default: the first whose name suggests sound.
-    ours : bool
-        Whether an existing file at `out` was made by this step.
-    skipped : tuple of int
-        Frames of the capture to leave out at its start and end.
-
-    Returns
-    -------
-    CaptureSound or None
-        None if there is no such channel and none was named.
+    `channel`: by default the first whose name suggests sound; None is returned if there is none.
+    `ours`: whether an existing file at `out` was made by this step. `skipped`: frames to leave out
+    at the start and the end.
     """
     faults = list[str]()
     for source in sources:
@@ -176,7 +156,7 @@ def extract_sound(
             frames = range(skipped[0], capture.frame_count - skipped[1])
             _write_wav(out, capture, names.index(chosen), frames, ours=ours)
             rate = capture.analog_rate
-            return CaptureSound(out, f"sound extracted from analog channel {chosen} ({rate:g} Hz)")
+            return f"sound extracted from analog channel {chosen} ({rate:g} Hz)"
     if channel is None:
         return None
     if faults:
@@ -327,18 +307,13 @@ def _resample(clip: WeightsClip, take: Take, shift: float) -> tuple[WeightsClip,
         axis=1,
     )
     outside = int(((times < clip_times[0]) | (times > clip_times[-1])).sum())
-    numbers = [
-        [
-            take.first_frame + round(((frame - clip.first_frame) / clip.rate + shift) * take.rate)
-            for frame in stretch
-        ]
-        for stretch in clip.gaps
-    ]
+
+    def number(frame: int) -> int:
+        seconds = (frame - clip.first_frame) / clip.rate + shift
+        return take.first_frame + round(seconds * take.rate)
+
+    gaps = tuple((number(first), number(last)) for first, last in clip.gaps)
     resampled = WeightsClip(
-        clip.names,
-        values.astype(np.float32),
-        take.first_frame,
-        take.rate,
-        gaps=tuple((first, last) for first, last in numbers),
+        clip.names, values.astype(np.float32), take.first_frame, take.rate, gaps
     )
     return resampled, outside

@@ -1,6 +1,8 @@
 """Align a transcript with its sound, and write the phones."""
 
-from usdface.core.assets import Take, Video
+from pathlib import Path
+
+from usdface.core.assets import Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
@@ -35,14 +37,8 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress) -> Step
         text = read_text(spec.transcript, LARGEST_TRANSCRIPT_BYTES)
     words = _words(spec, text or "")
     pronunciations = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
-    take = read_first_frame(spec.audio) if is_usd_name(spec.audio) else None
-    if take is None:
-        samples, video = read_audio(spec.audio, rate=SPEECH_SAMPLE_RATE), None
-    elif take.audio is not None:
-        samples, video = read_audio(take.audio, rate=SPEECH_SAMPLE_RATE), None
-    else:
-        video = _video(spec, take)
-        samples = read_audio(video.file, rate=SPEECH_SAMPLE_RATE)
+    file, video = _find_sound(spec)
+    samples = read_audio(file, rate=SPEECH_SAMPLE_RATE)
     found = align_phones(
         samples, words, pronunciations=pronunciations, progress=part(progress, 0.1, 0.95)
     )
@@ -79,14 +75,19 @@ def _words(spec: PhonesSpec, text: str) -> tuple[str, ...]:
         raise InputError(f"{spec.transcript}: {error}" if spec.transcript else str(error)) from None
 
 
-def _video(spec: PhonesSpec, take: Take) -> Video:
-    """Return the video of a take, for its sound."""
+def _find_sound(spec: PhonesSpec) -> tuple[Path, Video | None]:
+    """Return the file of the sound, and the video whose clock it is on, None if on the take's."""
+    if not is_usd_name(spec.audio):
+        return spec.audio, None
+    take = read_first_frame(spec.audio)
+    if take.audio is not None:
+        return take.audio, None
     if take.video is None:
         raise InputError(
             f"{spec.audio}: the take has no sound and no video; ingest it with --audio or "
             "--video, or give the sound file"
         )
-    return take.video
+    return take.video.file, take.video
 
 
 def _on_take_clock(track: PhoneTrack, video: Video) -> PhoneTrack:

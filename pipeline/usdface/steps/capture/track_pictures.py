@@ -127,19 +127,9 @@ class _Stretch:
 class PictureDetector:
     """Detects faces in the pictures of a video that no part or interrupted run holds.
 
-    Parameters
-    ----------
-    folder : Path
-        From `detections_folder`.
-    open_files : ExitStack
-        Closes the model, which is loaded for the first picture.
-
-    Attributes
-    ----------
-    digest : str
-        SHA-256 of the model.
-    score_names : tuple of str
-        Empty until a face was detected.
+    `folder`: from `detections_folder`. `open_files`: closes the model, which is loaded for the
+    first picture. Attributes: `digest`, SHA-256 of the model, and `score_names`, empty until a face
+    was detected.
     """
 
     def __init__(

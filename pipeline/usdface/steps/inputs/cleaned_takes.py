@@ -51,11 +51,6 @@ def spread_frames(take: TakeReader, most: int, frames: tuple[int, int] | None = 
     return list(map(int, np.unique(picks.astype(int))))
 
 
-def read_markers(take: TakeReader, first: int, last: int) -> Markers:
-    """Read the markers of consecutive frames."""
-    return read_markers_at(take, range(first, last + 1))
-
-
 def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
     """Read the markers of some frames, in ascending order; refuse a take that has none."""
     markers = take.read_markers_at(frames)
@@ -65,6 +60,7 @@ def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
 
 
 FEWEST_RIGID = 3
+"""Markers needed for the head's pose."""
 _HEAD_SPACE_FRAMES = 2000
 """Frames used to find the head space of several takes, evenly spread."""
 _COMPARED_FRAMES = 20_000

@@ -14,32 +14,27 @@ from usdface.core.text import pluralize
 from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation
 from usdface.runner.result import StepResult
+from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
-from usdface.steps.inputs.cleaned_takes import read_markers
+from usdface.steps.inputs.cleaned_takes import read_markers_at
 from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.placement import (
     placed_equation,
     read_performer_markers,
     read_placement_of,
 )
+from usdface.steps.performance.map import frames_per_part, take_blocks
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
 
-def write_baseline(
-    spec: MapSpec,
-    take: TakeReader,
-    rig: Rig,
-    blocks: list[range],
-    *,
-    frames: tuple[int, int],
-    part_frames: int | None,
-    provenance: Provenance,
-    progress: Progress,
-) -> StepResult:
-    """Solve the blendshape equation block by block, and write the frames from first to last."""
-    first, last = frames
+def run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:
+    """Solve the blendshape equation block by block, and write the performance."""
+    rig, take = read_rig(spec.rig, prim=spec.rig_prim), TakeReader(spec.take)
+    first, last = take.frames_within(frame_range(spec.frames))
+    count = last - first + 1
     progress(0.0, "placing the markers on the rig")
     equation = _equation(spec, take, rig)
     header = make_header(
@@ -56,12 +51,12 @@ def write_baseline(
         spec.out,
         replace(header, neutral_frame=take.neutral_frame),
         rig,
-        part_frames=part_frames,
+        part_frames=frames_per_part(spec, count, len(rig.shapes)),
         provenance=provenance,
     ) as writer:
-        for block in blocks:
+        for block in take_blocks(take, first, last):
             rows = range(max(first, block.start), min(last + 1, block.stop))
-            markers = read_markers(take, rows.start, rows.stop - 1)
+            markers = read_markers_at(take, rows)
             seen = markers.usable
             solve = equation.solve_published if spec.unlimited else equation.propose
             weights = solve(markers.positions, visible=seen)
@@ -69,9 +64,8 @@ def write_baseline(
             squares.append(equation.residual_mm(markers.positions, weights, visible=seen) ** 2)
             low, high = rig.ranges.T
             outside += int(np.count_nonzero((weights < low) | (weights > high)))
-            progress((rows.stop - first) / (last - first + 1), f"solved to frame {rows.stop - 1}")
+            progress((rows.stop - first) / count, f"solved to frame {rows.stop - 1}")
     residual = float(np.sqrt(np.concatenate(squares).mean()))
-    count = last - first + 1
     share = outside / (count * len(rig.shapes))
     return StepResult(
         (spec.out, weights_path(spec.out)),

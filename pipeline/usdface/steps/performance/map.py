@@ -33,7 +33,7 @@ from usdface.model.review.verdict import VISIBLE_ERROR_MM, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
-from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
+from usdface.steps.inputs.cleaned_takes import read_markers_at, take_head_space
 from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.solve_verdict import evidence_of, with_verdict
 from usdface.steps.inputs.weight_tables import read_alpha
@@ -134,7 +134,9 @@ class _Residuals:
 def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Map every frame of a take, block by block, and write the performance."""
     if spec.mapping is None:
-        return _run_baseline(spec, provenance, progress)
+        from usdface.steps.performance.baseline import run_baseline  # slow to import
+
+        return run_baseline(spec, provenance, progress)
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
     rig.check_has(
@@ -152,7 +154,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
     driven = _driven(spec, take, mapping, space, rig, (first, last))
     temporal = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
     margin = temporal.margin_at(float(take.rate))
-    blocks = list(_blocks(take, first, last))
+    blocks = list(take_blocks(take, first, last))
     windows = [_window(take, block, margin) for block in blocks]
     residuals = _Residuals()
     header = replace(
@@ -174,7 +176,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
         spec.out,
         header,
         rig,
-        part_frames=_part_frames(spec, last - first + 1, len(rig.shapes)),
+        part_frames=frames_per_part(spec, last - first + 1, len(rig.shapes)),
         above=[head_path(spec.out)] if spec.drive else [],
         provenance=provenance,
     ) as writer:
@@ -212,9 +214,7 @@ def _predict(
     windows: list[range],
 ) -> Iterator[Prediction]:
     """Yield the prediction of each window of frames."""
-    sources = (
-        partial(space.place, read_markers(take, each.start, each.stop - 1)) for each in windows
-    )
+    sources = (partial(space.place, read_markers_at(take, window)) for window in windows)
     if spec.alpha is None:
         return predict_pipelined(mapping, sources)
     return predict_with_keyed_blend(mapping, sources, spec.alpha, windows)
@@ -242,24 +242,7 @@ def _driven(
     return take_head_source(take, *frames).drive(rig, targets, onto)
 
 
-def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:
-    rig, take = read_rig(spec.rig, prim=spec.rig_prim), TakeReader(spec.take)
-    first, last = take.frames_within(frame_range(spec.frames))
-    from usdface.steps.performance.baseline import write_baseline  # slow to import
-
-    return write_baseline(
-        spec,
-        take,
-        rig,
-        list(_blocks(take, first, last)),
-        frames=(first, last),
-        part_frames=_part_frames(spec, last - first + 1, len(rig.shapes)),
-        provenance=provenance,
-        progress=progress,
-    )
-
-
-def _blocks(take: TakeReader, first: int, last: int) -> Iterator[range]:
+def take_blocks(take: TakeReader, first: int, last: int) -> Iterator[range]:
     """Yield the whole blocks of the take that contain frames from first to last."""
     start = first - (first - take.first_frame) % BLOCK_FRAMES
     for block in range(start, last + 1, BLOCK_FRAMES):
@@ -273,7 +256,8 @@ def _window(take: TakeReader, block: range, margin: int) -> range:
     )
 
 
-def _part_frames(spec: MapSpec, frames: int, shapes: int) -> int | None:
+def frames_per_part(spec: MapSpec, frames: int, shapes: int) -> int | None:
+    """Return the frames of each part of the weights; None to write them whole."""
     if spec.chunk is not None:
         return spec.chunk
     frame_bytes = 4 * shapes

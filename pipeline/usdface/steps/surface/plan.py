@@ -27,7 +27,6 @@ from usdface.numerics.registration.marker_binding import (
 from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 from usdface.specs.surface import SurfaceSpec
 from usdface.steps.inputs.cleaned_takes import (
-    read_markers,
     read_markers_at,
     spread_frames,
 )
@@ -150,7 +149,7 @@ class SurfacePlan:
 
     def stream(self, take: TakeReader, first: int, last: int) -> Iterator[SurfaceMotion]:
         """Deform the mesh at consecutive frames of the take, block by block."""
-        markers = read_markers(take, first, last)
+        markers = read_markers_at(take, range(first, last + 1))
         confidence = markers.confidence[:, self.columns]
         for moved in self.model.stream(self.displacements(markers.positions), confidence):
             yield SurfaceMotion(moved.mean * self.fade, moved.sd)
