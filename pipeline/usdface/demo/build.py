@@ -120,14 +120,7 @@ def write_clip(
 ) -> None:
     """Write a movie of the actor's performance with sound.
 
-    Parameters
-    ----------
-    path : Path
-        ``.mp4`` or another format of `usdface.media.film.movie`.
-    size : tuple of int
-        Width and height [pixels].
-    give_work : callable, optional
-        Of `drawing_processes`, which then draw as well.
+    `size`: width and height [pixels]. `give_work`: of `drawing_processes`, which then draw as well.
     """
     rate = float(acted.weights.rate)
     count = int((DURATION_SECONDS + TAIL_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)
@@ -239,14 +232,9 @@ class DemoInputs:
 def write_demo_inputs(
     folder: Path, *, video_lines: int = CLIP_SIZE[1], progress: Progress = silent
 ) -> DemoInputs:
-    """Generate the demo's inputs.
+    """Generate the demo's inputs in a folder; files of the same names are replaced.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if missing; files of the same names are replaced.
-    video_lines : int
-        Height of the clip [pixels], even.
+    `video_lines`: height of the clip [pixels], even.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with drawing_processes() as give_work:

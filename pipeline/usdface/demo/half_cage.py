@@ -123,11 +123,7 @@ REFINEMENT_LEVELS = 2
 def refine(faces: IntArray, mirror: IntArray) -> Refinement:
     """Subdivide a cage by Catmull and Clark's rules, with borders as creases.
 
-    Parameters
-    ----------
-    faces : (faces, 4) int array
-    mirror : (points,) int array
-        The topology must be symmetric under it.
+    `faces`: (faces, 4). `mirror`: (points,); the topology must be symmetric under it.
     """
     count = len(mirror)
     matrix = sparse.eye_array(count, format="csr")

@@ -15,14 +15,7 @@ from usdface.demo.sculpt import Form, Style, head_form, settle
 
 
 def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArray:
-    """Return linear colours of the skin: (points, 3).
-
-    Parameters
-    ----------
-    points : (points, 3) float array
-        [mm]
-    marks : (points, len(Mark)) float array
-    """
+    """Return linear colours of the skin, (points, 3), for points [mm] and their marks."""
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     eye, nose, mouth = style.eye, style.nose, style.mouth
     front = smoothstep(z, 20.0, 60.0)

@@ -51,19 +51,11 @@ def run_demo(
     progress: Progress = silent,
     events: JobEvents | None = None,
 ) -> StepResult:
-    """Make the demo in a folder; the result states its error.
+    """Make the demo in a folder, or bring it up to date; the result states its error.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if missing. An existing demo is brought up to date.
-    model : Path, optional
-        Face landmark model of `track`: the face is then tracked in the clip instead of using the
-        captured markers.
-    video_lines : int
-        Height of the actor's clip [pixels], even.
-    events : JobEvents, optional
-        Called as the steps of the job start and end.
+    `model`: face landmark model of `track`; the face is then tracked in the clip instead of using
+    the captured markers. `video_lines`: height of the actor's clip [pixels], even. `events`: called
+    as the steps of the job start and end.
     """
     confine("demo", writes=[folder])
     if model is not None:  # before two minutes of drawing

@@ -157,11 +157,6 @@ def align_phones(
         The transcript in lower case; see `spoken_words`.
     pronunciations : mapping of str to tuple of str, optional
         ARPAbet of words that the model's dictionary lacks or pronounces otherwise.
-
-    Raises
-    ------
-    InputError
-        If pocketsphinx is not installed, the sound is silent, or the transcript does not fit.
     """
     sound = _as_pcm(samples)
     user_words = {} if pronunciations is None else pronunciations

@@ -72,18 +72,10 @@ _MARKS = "ˈˌːˑʰʲʷˠˤˀ˞ⁿˡ̚"
 
 
 def arpabet_of(symbol: str) -> str | None:
-    """Return the phone of the paper's alphabet for a symbol.
+    """Return the phone of the paper's alphabet, in lower case, for a symbol; None if unknown.
 
-    Parameters
-    ----------
-    symbol : str
-        ARPAbet with or without stress digits, in either case; TIMIT; or the IPA of the Montreal
-        Forced Aligner. Symbols of silence and noise, and the empty string, are ``'pau'``.
-
-    Returns
-    -------
-    str or None
-        Lower case; None if the symbol is unknown.
+    Symbols are ARPAbet with or without stress digits, in either case; TIMIT; or the IPA of the
+    Montreal Forced Aligner. Those of silence and noise, and the empty one, are ``'pau'``.
     """
     plain = symbol.strip()
     lowered = plain.lower()

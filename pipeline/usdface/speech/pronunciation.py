@@ -89,18 +89,10 @@ def _compiled() -> tuple[tuple[re.Pattern[str], tuple[str, ...]], ...]:
 
 
 def phones_of_letters(word: str) -> tuple[str, ...]:
-    """Guess the phones of a word.
+    """Guess the phones of a word: ARPAbet in upper case without stress, at least one.
 
-    Parameters
-    ----------
-    word : str
-        Letters a to z and apostrophes, lower case. A word without a vowel, such as ``bbc``, is
-        spelled.
-
-    Returns
-    -------
-    tuple of str
-        ARPAbet in upper case without stress, as in pocketsphinx; at least one.
+    Other characters than the letters a to z and apostrophes are ignored. A word without a vowel,
+    such as ``bbc``, is spelled.
     """
     letters = re.sub(r"[^a-z']", "", word.lower())
     plain = letters.replace("'", "")

@@ -42,12 +42,7 @@ _SECURITY_HEADERS = {
 class Guard:
     """Middleware that refuses requests, and adds security headers to responses.
 
-    Parameters
-    ----------
-    port : int
-        Of the server.
-    announce : callable
-        Called with a new link if a used one is tried; a link opens the page once.
+    `announce`: called with a new link if a used one is tried; a link opens the page once.
     """
 
     def __init__(self, app: ASGIApp, *, port: int, announce: Callable[[str], None]) -> None:

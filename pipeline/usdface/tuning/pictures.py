@@ -31,15 +31,7 @@ CACHED_PICTURES = 64
 
 
 class PairPictures:
-    """Pictures and sound of pairs, read on request.
-
-    Parameters
-    ----------
-    notes : sequence of PairNotes
-        One per pair.
-    takes : sequence of Path
-        Take files.
-    """
+    """Pictures and sound of pairs, read on request. `notes`: one per pair."""
 
     def __init__(
         self, references: References, notes: Sequence[PairNotes], takes: Sequence[Path]

@@ -39,22 +39,9 @@ _FIRST_PORT, _PORTS = 49152, 16384
 
 
 def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
-    """Serve the page until interrupted, then save.
+    """Serve the page until interrupted, then save; return the closed session, with its final state.
 
-    Parameters
-    ----------
-    announce : callable
-        Called with the link to the page, and with a new one if a used one is tried.
-
-    Returns
-    -------
-    TuningSession
-        Closed, with the final state.
-
-    Raises
-    ------
-    InputError
-        If the references cannot be tuned, someone else is tuning them, or the port is in use.
+    `announce`: called with the link to the page, and with a new one if a used one is tried.
     """
     with moved_rig(spec.rig):
         session = TuningSession(

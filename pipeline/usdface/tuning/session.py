@@ -52,7 +52,8 @@ class TuningSession:
 
     Changes are on disk in the journal when `apply` returns; `save` writes them to the tuned layer.
     If another program changes the layer meanwhile, it is read again, and the changes since the last
-    save are applied to it.
+    save are applied to it. An asset that is locked, or whose tuned layer or journal belongs to
+    another selection, is refused; nothing on disk is changed then.
 
     Parameters
     ----------
@@ -65,18 +66,10 @@ class TuningSession:
 
     Attributes
     ----------
-    tuned_path : Path
-        Layer of the tuned weights.
     references : References
         As at the start of the session.
     recovered : int
         Number of changes that an earlier session had not saved as USD.
-
-    Raises
-    ------
-    InputError
-        If the asset cannot be read, is locked, or its tuned layer or journal belongs to another
-        selection. Nothing on disk is changed then.
     """
 
     def __init__(
@@ -128,17 +121,8 @@ class TuningSession:
     def apply(self, changes: Sequence[Change], *, revision: int) -> int:
         """Apply changes and write them to the journal; return the new revision.
 
-        Parameters
-        ----------
-        revision : int
-            Revision that the changes are based on.
-
-        Raises
-        ------
-        StaleRevisionError
-            If another page or program has changed the weights since; read the state again.
-        InputError
-            If a change is of an unknown pair or shape, not finite, or cannot be saved.
+        `StaleRevisionError` if another page or program has changed the weights since `revision`, on
+        which the changes are based: read the state again.
         """
         with self._guard:
             self.lock.check()

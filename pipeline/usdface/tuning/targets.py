@@ -87,11 +87,7 @@ def solve_shapes(
 ) -> FloatArray:
     """Return the weights of a pair, solved for the `free` shapes by its markers: (shapes,).
 
-    Parameters
-    ----------
-    weights : (shapes,) float array
-        Of the rig's shapes; those that are not free are held.
-    free : (shapes,) bool array
+    `weights`: (shapes,), of the rig's shapes; those that are not free are held.
     """
     ranges = np.where(free[:, None], targets.equation.ranges, weights[:, None])
     solved = targets.equation.propose(references.markers[pair : pair + 1], ranges=ranges)[0]
@@ -149,16 +145,7 @@ def correct_place(
 ) -> None:
     """Write the position of a marker to the corrected layer of the references' placement.
 
-    Parameters
-    ----------
-    at : tuple of three floats or None
-        On the rig at rest [mm]; None removes a correction.
-
-    Raises
-    ------
-    InputError
-        If the references have no placement, the lock was lost, the marker is unknown, or the
-        position is not on the face. Nothing is changed then.
+    `at`: on the rig at rest [mm]; None removes a correction.
     """
     placement = session.references.placement
     if placement is None:

@@ -135,16 +135,9 @@ def coverage_and_growth(
 ) -> tuple[Coverage, Growth]:
     """Measure the coverage of all frames by pairs.
 
-    Parameters
-    ----------
-    features : (pairs, d) float array
-        Of pairs of these takes or others.
-    displacements : (pairs, markers, 3) float array
-        From the neutral, at the rig's size [mm].
-    candidates : (frames,) bool array
-        Frames that may be chosen next.
-    rows : (n,) int array
-        Frames that are pairs.
+    `features`, (pairs, d), and `displacements`, (pairs, markers, 3) from the neutral at the rig's
+    size [mm]: of pairs of these takes or others. `candidates`: (frames,), which may be chosen next.
+    `rows`: (n,), those that are pairs.
     """
     free = candidates.copy()
     free[rows] = False

@@ -268,16 +268,8 @@ def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
 def rest_places(references: References, rig: Rig, points: FloatArray) -> RestPlaces:
     """Return places on the rig's neutral, with the references' markers as they were placed.
 
-    Parameters
-    ----------
-    points : (points, 3) float array
-        Points of the skin [mm].
-
-    Returns
-    -------
-    RestPlaces
-        Its markers are those placed by labels or by a person, NaN for others; without a placement
-        of these markers, neither markers nor motion scale.
+    `points`: of the skin, (points, 3) [mm]. Markers are those placed by labels or by a person, NaN
+    for others; without a placement of these markers, there are neither markers nor a motion scale.
     """
     placement = stored_placement(references, rig)
     if placement is None or not is_placement_of(

@@ -25,12 +25,8 @@ from usdface.usdio.take.read import TakeReader
 class HeadTurn(PointMotion):
     """Rotation of a whole rig about the centre of its face.
 
-    Parameters
-    ----------
-    axes : (3, 3) float array
-        Columns: axes of the rotations, in the rig's space.
-    turns : (frames, 3, 3) float array or None
-        Rotations from the take's first frame; None reads the take's HeadMotion.
+    `axes`: (3, 3), whose columns are the axes of the rotations in the rig's space. `turns`:
+    (frames, 3, 3), rotations from the take's first frame; None reads the take's HeadMotion.
     """
 
     moves_as_one = True

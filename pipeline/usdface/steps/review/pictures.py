@@ -44,22 +44,9 @@ def repaired_markers(markers: Markers, at: int) -> BoolArray:
 class ShotPictures:
     """Draws single frames of a shot; as a context manager, keeps its video open.
 
-    Parameters
-    ----------
-    height : int
-        Of every picture [pixels].
-    quality : {'draft', 'final'}
-    display : callable, optional
-        Display transform of renders; see `display_view`.
-    camera : ShotCamera, optional
-        Default: the automatic camera.
-
-    Attributes
-    ----------
-    face_width : int
-        Of pictures of the face [pixels].
-    stand_in_eyes : bool
-        Whether the rig has no eyes and stand-ins are drawn.
+    `height`: of every picture [pixels]. `display`: transform of renders, see `display_view`.
+    Attributes: `face_width`, of pictures of the face [pixels], and `stand_in_eyes`, whether the rig
+    has no eyes and stand-ins are drawn.
     """
 
     def __init__(

@@ -37,12 +37,7 @@ SMALL_SHARE = 0.2
 class ShotCamera:
     """One camera for all pictures of a shot, which it follows if it is automatic.
 
-    Parameters
-    ----------
-    name : str
-        ``'auto'``, ``'front'`` or the path of a camera.
-    stage : Path, optional
-        The stage of the camera; the performance by default.
+    `name`: ``'auto'``, ``'front'`` or the path of a camera in `stage`, by default the performance.
     """
 
     def __init__(self, shot: "Shot", name: str = AUTO_CAMERA, stage: Path | None = None) -> None:
@@ -223,16 +218,10 @@ def open_shot(
     frames: str | None = None,
     video: Path | None = None,
 ) -> Shot:
-    """Read a performance with the take it was made from.
+    """Read a performance with the take it was made from, at the common frames.
 
-    Parameters
-    ----------
-    take_file : Path, optional
-        See `find_take`; a performance without a take is shown on its own.
-    frames : str, optional
-        Frames to use, as FIRST-LAST.
-    video : Path, optional
-        New path of the take's video.
+    `take_file`: see `find_take`; a performance without a take is shown on its own. `frames`: to
+    use, as FIRST-LAST. `video`: new path of the take's video.
     """
     keyed = take_file is None and take_of_performance(performance_file) is None
     take_file = performance_file if keyed else find_take(performance_file, take_file)
