@@ -161,16 +161,10 @@ def add_label(
 
 
 def plot_curve(axes: Axes, values: FloatArray, heights: FloatArray, color: Color) -> None:
-    """Draw a curve within the limits of the axes; a single sample is a dot.
+    """Draw a curve within the limits of the axes, which are set; a single sample is a dot.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        With limits set.
-    values : (n,) float array
-        Ascending.
-    heights : (n,) float array
-        NaN is skipped: regular gaps between samples are bridged, longer ones stay open.
+    `values`: (n,), ascending. `heights`: (n,); NaN is skipped: regular gaps between samples are
+    bridged, longer ones stay open.
     """
     left, right = axes.get_xlim()
     shown = np.isfinite(heights) & (values >= left) & (values <= right)
@@ -208,14 +202,9 @@ def plot_points(
 
 
 def label_ends(axes: Axes, labels: Sequence[tuple[str, float, Color]]) -> None:
-    """Label curves to the right of the axes, at their ends and without overlap.
+    """Label curves to the right of the axes, whose limits are set, at their ends without overlap.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        With limits set.
-    labels : sequence of (text, height, color)
-        Height of the curve's end, in data coordinates.
+    `labels`: text, height of the curve's end in data coordinates, and colour of each.
     """
     low, high = axes.get_ylim()
     tall = round(axes.bbox.height)

@@ -82,15 +82,9 @@ class Panel:
 def before_and_after(
     names: Sequence[str], before: FloatArray, after: FloatArray
 ) -> tuple[Panel, ...]:
-    """Return panels of the `MOST_PANELS` controls that change most.
+    """Return panels of the `MOST_PANELS` controls that change most, from (frames, controls).
 
     Of controls with the same change (`SAME_CHANGE_CORRELATION`), one has a panel.
-
-    Parameters
-    ----------
-    names : sequence of str
-        One for each control.
-    before, after : (frames, controls) float arrays
     """
     change = after - before
     span = np.maximum(np.ptp(before, axis=0), np.ptp(after, axis=0))

@@ -53,12 +53,8 @@ class Camera:
     def directions(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
         """Return unit directions of the rays through picture positions: (n, 3) float32.
 
-        Parameters
-        ----------
-        pixels : (n, 2) float array
-            Column and row; the first pixel's centre is at 0.5, 0.5.
-        width, height : int
-            Size of the picture [pixels].
+        `pixels`: (n, 2), column and row; the first pixel's centre is at 0.5, 0.5. `width`,
+        `height`: of the picture [pixels].
         """
         local = np.full((len(pixels), 3), -1, np.float32)
         local[:, :2] = 0
@@ -88,12 +84,7 @@ class Camera:
     def project(self, points: ArrayLike, *, width: int, height: int) -> FloatArray:
         """Return column, row [pixels] and distance along the view [mm] of each point: (n, 3).
 
-        Parameters
-        ----------
-        points : (n, 3) array
-            [mm]
-        width, height : int
-            Size of the picture [pixels].
+        `points`: (n, 3) [mm]. `width`, `height`: of the picture [pixels].
         """
         local = (np.asarray(points, np.float64) - self.eye) @ self.axes().T
         depth = -local[:, 2]

@@ -128,15 +128,10 @@ def draw_markers(
 def draw_marker_lines(
     picture: ByteImage, at: FloatArray, lines: ArrayLike, *, size: float, color: Color = _LINE
 ) -> None:
-    """Draw lines between markers.
+    """Draw lines, (lines, 2), between markers.
 
-    Parameters
-    ----------
-    at : (markers, 2) array
-        Positions in the picture [pixels]; NaN if unknown.
-    lines : (lines, 2) int array
-    size : float
-        Scale of the picture: height / 320.
+    `at`: (markers, 2), positions in the picture [pixels]; NaN if unknown. `size`: scale of the
+    picture, height / 320.
     """
     for one, other in np.asarray(lines, np.int64).reshape(-1, 2).tolist():
         if np.isfinite(at[[one, other]]).all():

@@ -77,14 +77,9 @@ def part_from_name(path: str) -> FacePart | None:
 
 
 def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
-    """Classify the pieces of a head.
+    """Classify the pieces of a head at rest.
 
-    Parameters
-    ----------
-    meshes : sequence of RigMesh
-        At rest.
-    exposure : (points,) float array
-        Visible share of the sky at rest [0-1], all meshes concatenated.
+    `exposure`: (points,), visible share of the sky [0-1], all meshes concatenated.
     """
     labels, named = _label(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])

@@ -18,12 +18,7 @@ from usdface.numerics.surface.triangulation import normal_operator, triangulate,
 class SculptedNormals:
     """Corrections of the surface's normals by a rig's authored normals.
 
-    Parameters
-    ----------
-    rig : Rig
-        Normals of subdivided meshes are ignored: the limit surface has its own.
-    deformer : Deformer
-        Of the same rig.
+    Those of subdivided meshes are ignored: the limit surface has its own.
     """
 
     def __init__(self, rig: Rig, deformer: Deformer) -> None:

@@ -39,15 +39,7 @@ def traced_triangles(triangles: IntArray) -> NDArray[np.object_]:
 
 
 class Tracer:
-    """Ray tracer of one pose of a surface.
-
-    Parameters
-    ----------
-    points : (points, 3) float array
-        [mm]
-    triangles : (triangles,) array
-        From `traced_triangles`.
-    """
+    """Ray tracer of one pose of a surface: points, (points, 3) [mm], and `traced_triangles`."""
 
     def __init__(self, points: Float32Array, triangles: NDArray[np.object_]) -> None:
         self._scene = EmbreeScene(robust=False)  # watertight to rounding costs a tenth of a picture

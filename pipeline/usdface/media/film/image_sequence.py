@@ -21,12 +21,7 @@ _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
 class ImageSequence(OpenVideo):
     """Pictures whose names differ in their number only; a missing one repeats the one before.
 
-    Parameters
-    ----------
-    first : Path
-        Any picture of the sequence.
-    rate : Fraction
-        Pictures per second.
+    `first`: any picture of the sequence. `rate`: pictures per second.
     """
 
     def __init__(self, first: Path, rate: Fraction) -> None:

@@ -42,14 +42,9 @@ class _Index:
 
 
 class VideoReader(OpenVideo):
-    """A movie.
+    """A movie; `width` and `height` are as displayed: rotated, with square pixels [pixels].
 
-    Attributes
-    ----------
-    width, height : int
-        As displayed: rotated, with square pixels [pixels].
-    focal_length : float or None
-        Stated by phones [mm, 35 mm equivalent].
+    `focal_length`, which phones state, is in mm of the 35 mm equivalent, or None.
     """
 
     def __init__(self, path: Path) -> None:

@@ -64,16 +64,10 @@ def draw_line(
 def space_rows(
     rows: FloatArray, *, spacing: float, height: float, margin: float = 0.0
 ) -> FloatArray:
-    """Return rows of labels with a minimum spacing, nearest to the desired ones: (n,).
+    """Return rows of labels with a minimum spacing, nearest to the desired ones: (n,) [pixels].
 
-    Parameters
-    ----------
-    rows : (n,) float array
-        Desired rows, ascending [pixels].
-    spacing : float
-        Least distance of two rows [pixels].
-    height, margin : float
-        Of the picture, and free space at its ends [pixels].
+    `rows`: the desired ones, (n,), ascending. `height`, `margin`: of the picture, and free space at
+    its ends.
     """
     if not len(rows):
         return rows

@@ -200,16 +200,7 @@ def _write(file: Path, temporary: Path, spec: Any, data: np.ndarray) -> None:
 def encode_image(
     pixels: ByteImage, kind: Literal["jpeg", "png"] = "jpeg", *, max_height: int | None = None
 ) -> bytes:
-    """Encode a picture in memory, for pages.
-
-    Parameters
-    ----------
-    pixels : (height, width, 3) uint8 array
-        sRGB.
-    kind : {'jpeg', 'png'}
-    max_height : int, optional
-        Taller pictures are scaled down [pixels].
-    """
+    """Encode an sRGB picture in memory, for pages; scale it down to `max_height` [pixels]."""
     height, width = pixels.shape[:2]
     scale = min((max_height or height) / height, 1.0)
     size = max(round(width * scale), 1), max(round(height * scale), 1)

@@ -99,16 +99,9 @@ def compose_reference_sheet(
     tile: int,
     paper: bool = False,
 ) -> ByteImage:
-    """Compose the sheet: (height, width, 3) uint8 array, sRGB.
+    """Compose the sheet of one row or more: (height, width, 3) uint8 array, sRGB.
 
-    Parameters
-    ----------
-    rows, title, facts
-        At least one row.
-    tile : int
-        Height of every picture [pixels].
-    paper : bool
-        Dark on white.
+    `tile`: height of every picture [pixels]. `paper`: dark on white.
     """
     palette = PAPER if paper else SCREEN
     shapes = [row.video.shape for row in rows if row.video is not None]
