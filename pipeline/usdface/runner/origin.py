@@ -1,7 +1,7 @@
 """Provenance of files: made from a spec, read back, and used to find a file's inputs."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +187,26 @@ def path_made_from(file: Path, field: str) -> Path | None:
     """Return the file that a field of a file's stored spec names; None if there is no such file."""
     paths = _paths_in(spec_of(provenance_of(file)).get(field), file.parent)
     return paths[0] if len(paths) == 1 and paths[0].is_file() else None
+
+
+def find_made_by(performance: Path, step: str, through: Mapping[str, str]) -> Path | None:
+    """Return the file of a performance that a step wrote; None if there is none.
+
+    In a shot it lies below the performance. `through`: steps that copy a performance, and the field
+    of their spec that names it; of several files in the field, the first is followed.
+    """
+    waiting, seen = made_files(performance), set[Path]()
+    while waiting:
+        file = waiting.pop(0)
+        made = provenance_of(file) if file.is_file() and file.resolve() not in seen else None
+        seen.add(file.resolve())  # relative names add up: a/../b/../a is a
+        if made is None:
+            continue
+        if made.step == step:
+            return file
+        named = spec_of(made).get(through.get(made.step, ""))
+        waiting += _paths_in(named, file.resolve().parent)[:1]
+    return None
 
 
 def find_take(performance: Path, given: Path | None) -> Path:

@@ -21,9 +21,14 @@ from usdface.publish.integrate import read_manifest
 from usdface.runner.execute import execute as run
 from usdface.runner.origin import take_of_performance, traced_files
 from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.retarget import RetargetSpec
 from usdface.specs.review import SheetSpec
 from usdface.steps.edits.validate import validate_layers
-from usdface.steps.inputs.solve_verdict import judge_performance, verdict_findings
+from usdface.steps.inputs.solve_verdict import (
+    describe_retarget,
+    judge_performance,
+    verdict_findings,
+)
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import PerformanceReader
 
@@ -102,6 +107,20 @@ def test_files_that_name_each_other_as_their_source_are_judged_once(
     assert {path.resolve() for path in traced} >= (
         {other.resolve()} if field == "source" else set()
     )
+
+
+def test_a_retarget_in_a_shot_is_judged_as_one(shot: Shot) -> None:
+    hero, out, above = (shot / f"{name}.usda" for name in ("shot.hero", "first", "above"))
+    run(RetargetSpec(source=hero, rig=(shot / "hero.usdc",), out=(out,)))
+    layer = Sdf.Layer.CreateNew(str(above))
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(out)))
+    layer.customLayerData = {}
+    layer.subLayerPaths = ["./first.usda"]
+    layer.Save()
+    assert describe_retarget(above) == describe_retarget(out) == "a retarget by names"
+    expected, found = (judge_performance(PerformanceReader(each)) for each in (out, above))
+    assert found is not None
+    assert found == expected
 
 
 def test_every_solve_of_a_shot_is_judged(shot: Shot) -> None:

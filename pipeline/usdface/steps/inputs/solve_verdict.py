@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, frame_ranges
 from usdface.model.review.verdict import VERDICT_WORDS, SolveEvidence, SolveVerdict, judge_solve
-from usdface.runner.origin import path_made_from, provenance_of, spec_of
+from usdface.runner.origin import find_made_by, path_made_from, provenance_of, spec_of
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.review import VerdictLevel
@@ -69,7 +69,7 @@ def bad_source(performance: Path, *, judged: frozenset[Path] = frozenset()) -> s
     Sources that are missing, takes, or among those `judged`, resolved, are not judged.
     """
     judged = judged | {performance.resolve()}
-    retargeted = find_retargeted(performance)
+    retargeted = find_made_by(performance, "retarget", _COPYING_STEPS)
     source = None if retargeted is None else path_made_from(retargeted, "source")
     try:
         if source is None or source.resolve() in judged:
@@ -86,41 +86,22 @@ _COPYING_STEPS = {"bake": "performance", "join": "parts", "warp": "performance"}
 """Steps whose results are judged as the performance that they read, and the field that names it."""
 
 
-def find_retargeted(performance: Path) -> Path | None:
-    """Return the performance that `retarget` wrote, or that one was made from; None otherwise.
-
-    Of joined parts, the first.
-    """
-    seen = set[Path]()
-    while performance.resolve() not in seen:  # relative names add up: a/../b/../a is a
-        seen.add(performance.resolve())
-        made = provenance_of(performance)
-        if made is None or made.step not in _COPYING_STEPS:
-            return performance if made is not None and made.step == "retarget" else None
-        read = spec_of(made).get(_COPYING_STEPS[made.step])
-        first = read[0] if isinstance(read, list) and read else read
-        if not isinstance(first, str):
-            return None
-        performance = performance.parent / first
-    return None
-
-
 def describe_retarget(performance: Path) -> str:
     """Return a description of the retargeting of a performance; ``''`` if it is no retarget.
 
     Retargeting and pairs are found by provenance; the number of pairs is omitted if they cannot be
     read.
     """
-    retargeted = find_retargeted(performance)
+    retargeted = find_made_by(performance, "retarget", _COPYING_STEPS)
     if retargeted is None:
         return ""
     header = PerformanceReader(performance).header
-    performance, spec = retargeted, spec_of(provenance_of(retargeted))
+    spec = spec_of(provenance_of(retargeted))
     words = f"a retarget by {'positions' if spec.get('source_rig') else 'names'}"
     if spec.get("retargeting"):
         outs = [Path(each).name for each in spec["out"]]
-        index = outs.index(performance.name) if performance.name in outs else 0
-        words = f"a retarget of {_pair_words(performance.parent / spec['retargeting'][index])}"
+        index = outs.index(retargeted.name) if retargeted.name in outs else 0
+        words = f"a retarget of {_pair_words(retargeted.parent / spec['retargeting'][index])}"
     if header.gaps:
         words += f"; nothing was captured in {frame_ranges(header.gaps)}, which are filled"
     unmatched = header.unmatched

@@ -18,13 +18,18 @@ from usdface.core.text import first_few, pluralize
 from usdface.model.mapping.performer_face import face_of_references
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
-from usdface.runner.origin import made_files, pair_with_files, spec_of
+from usdface.runner.origin import (
+    find_made_by,
+    made_files,
+    pair_with_files,
+    provenance_of,
+    spec_of,
+)
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers_at, take_head_space
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.references.coverage import redraw_coverage
-from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.references.weight_layers import (
@@ -342,8 +347,9 @@ def find_captured_take(performance: Path, old: References, moved: Path | None) -
     if moved is not None:
         return TakeReader(moved)
     step, field = ("map", "take") if old.source is None else ("retarget", "source")
-    file, spec = _made_by(performance, step)
-    if field not in spec:
+    made = find_made_by(performance, step, {"join": "parts"})
+    named = spec_of(provenance_of(made)).get(field) if made else None
+    if made is None or not isinstance(named, str):
         below = first_few(each.name for each in made_files(performance)[1:])
         raise InputError(
             f"{performance}: does not name the take it was made from"
@@ -351,25 +357,9 @@ def find_captured_take(performance: Path, old: References, moved: Path | None) -
             f"or give a performance that `usdface {step}` wrote, or one joined from such parts "
             "that still exist"
         )
-    take = file.resolve().parent / str(spec[field])
+    take = made.resolve().parent / named
     if not take.is_file():
         raise InputError(
             f"{performance}: its take, {take}, is gone; put it back, or give its new path by --take"
         )
     return TakeReader(take)
-
-
-def _made_by(performance: Path, step: str) -> tuple[Path, dict[str, object]]:
-    """Return the file of a performance that a step wrote, and its spec; an empty one if none."""
-    waiting, seen = made_files(performance), set[Path]()
-    while waiting:
-        file = waiting.pop(0)
-        if file in seen or not file.is_file():
-            continue
-        seen.add(file)
-        made = read_provenance(file)
-        if made is not None and made.step == step:
-            return file, spec_of(made)
-        if made is not None and made.step == "join":
-            waiting += [file.resolve().parent / str(each) for each in spec_of(made)["parts"][:1]]
-    return performance, {}
