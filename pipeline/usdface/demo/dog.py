@@ -136,10 +136,6 @@ def write_dog(path: Path) -> Rig:
 
 def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and weights of 34 source expressions: rest, single shapes, and five moods."""
-    wanted = [motion_and_side(shape) for shape in DOG_SHAPES.values()]
-    singles = [[name for name in names if motion_and_side(name) == each] for each in wanted]
-    singles[list(DOG_SHAPES).index("innerBrowRaiser")] = _of(names, "browinnerup")
-    singles[list(DOG_SHAPES).index("cheekPuff")] = _of(names, "cheekpuff")
     moods = {
         "joy": {"mouthsmile": 0.9, "cheeksquint": 0.7, "eyesquint": 0.4, "jawopen": 0.3},
         "anger": {"browdown": 1.0, "nosesneer": 0.7, "mouthupperup": 0.6, "eyesquint": 0.5},
@@ -148,8 +144,8 @@ def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
         "snarl": {"nosesneer": 1.0, "mouthupperup": 1.0, "jawopen": 0.25},
     }
     rows = [np.zeros(len(names))]
-    for single in singles:
-        rows.append(np.isin(names, single).astype(float))
+    for human in DOG_SHAPES.values():
+        rows.append(np.isin(names, _like(names, human)).astype(float))
     for mood in moods.values():
         row = np.zeros(len(names))
         for motion, weight in mood.items():

@@ -3,14 +3,14 @@
 import io
 import threading
 import wave
-from collections import OrderedDict
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import ByteImage, Float32Array
+from usdface.core.arrays import ByteImage
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
 from usdface.media.film.timed_frames import OpenVideo
@@ -42,10 +42,12 @@ class PairPictures:
         self._readers: dict[str, TakeReader] = {}
         self._takes = self._read_takes(takes)
         self._videos: dict[str, OpenVideo] = {}
-        self._cached: OrderedDict[tuple[int, float], bytes] = OrderedDict()
+        self._encoded = lru_cache(CACHED_PICTURES)(self._encode)
+        self._recorded = lru_cache(1)(
+            lambda name: recorded_sound(self._takes[name], [], SOUND_RATE)
+        )
         self._guard = threading.Lock()  # of the decoders
         self._hearing = threading.Lock()
-        self._heard: tuple[str, Float32Array | None] = ("", None)
 
     def reason_without(self, pair: int) -> str:
         """Return the reason why a pair has no picture; empty if it should have one."""
@@ -63,14 +65,8 @@ class PairPictures:
 
     def jpeg(self, pair: int, after: float = 0.0) -> bytes:
         """Return a pair's picture as JPEG, or the video frame `after` seconds later."""
-        wanted = pair, after
         with self._guard:
-            if wanted not in self._cached:
-                self._cached[wanted] = encode_image(self._find(pair, after), max_height=1080)
-                while len(self._cached) > CACHED_PICTURES:
-                    self._cached.popitem(last=False)
-            self._cached.move_to_end(wanted)
-            return self._cached[wanted]
+            return self._encoded(pair, after)
 
     def sound(self, pair: int) -> bytes | None:
         """Return the sound around a pair's frame as WAV; None if the take has none.
@@ -82,9 +78,7 @@ class PairPictures:
         if take is None:
             return None
         with self._hearing:
-            if self._heard[0] != name:
-                self._heard = name, recorded_sound(take, [], SOUND_RATE)
-            recorded = self._heard[1]
+            recorded = self._recorded(name)
         if recorded is None:
             return None
         at = take.seconds(int(self._references.frames[pair]))
@@ -115,6 +109,9 @@ class PairPictures:
             for video in self._videos.values():
                 video.close()
             self._videos.clear()
+
+    def _encode(self, pair: int, after: float) -> bytes:
+        return encode_image(self._find(pair, after), max_height=1080)
 
     def _find(self, pair: int, after: float) -> ByteImage:
         image = self._notes[pair].image

@@ -35,14 +35,18 @@ class Bundle:
     audio: Path | None
 
 
+def visible_files(folder: Path) -> list[Path]:
+    """Return the files of a folder by name, without hidden ones."""
+    files = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted(path for path in files if path.is_file())
+
+
 def find_bundles(folder: Path, only: str | None = None) -> list[Bundle]:
     """Group a folder's files by stem, without stems that have no capture matching `only`."""
     pattern = only if only is None or set("*?[") & set(only) else f"*{only}"
     captures: dict[str, list[Path]] = {}
     media: dict[tuple[str, tuple[str, ...]], Path] = {}
-    for path in sorted(folder.iterdir()):
-        if not path.is_file() or path.name.startswith("."):
-            continue
+    for path in visible_files(folder):
         suffix = path.suffix.lower()
         for kind in (VIDEO_SUFFIXES, AUDIO_SUFFIXES):
             if suffix in kind:
@@ -112,11 +116,8 @@ def _bundles(folder: Path, only: str | None) -> list[Bundle]:
             f"{folder}: no name of a capture matches --only {only}; leave it out, or give the "
             "ending of the names, such as c3d"
         )
-    movies = [
-        each.name
-        for each in sorted(folder.iterdir())
-        if each.suffix.lower() in VIDEO_SUFFIXES and not each.name.startswith(".")
-    ]
+    files = visible_files(folder)
+    movies = [each.name for each in files if each.suffix.lower() in VIDEO_SUFFIXES]
     if movies:
         raise InputError(
             f"{folder}: holds {pluralize(len(movies), 'movie')} and no capture: track the face in "
@@ -134,11 +135,8 @@ def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
     used = {path for each in bundles for path in (*each.captures, each.video, each.audio) if path}
     others = [
         path.name
-        for path in sorted(folder.iterdir())
-        if path not in used
-        and path.is_file()
-        and not path.name.startswith(".")
-        and not path.name.endswith(_TAKES)
+        for path in visible_files(folder)
+        if path not in used and not path.name.endswith(_TAKES)
     ]
     if not others:
         return ()

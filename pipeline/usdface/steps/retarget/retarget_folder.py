@@ -11,6 +11,7 @@ from usdface.core.text import pluralize
 from usdface.runner.execute import execute_each
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import RetargetSpec
+from usdface.steps.capture.ingest_folder import visible_files
 
 TAKE_SUFFIX = ".take.usda"
 
@@ -80,13 +81,11 @@ def retarget_folder(
 
 def _takes(folder: Path) -> dict[str, Path]:
     """Return sources by stem; a take takes precedence over a capture of the same stem."""
-    found: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.is_file() and path.name.endswith(TAKE_SUFFIX) and not path.name.startswith("."):
-            found[path.name.removesuffix(TAKE_SUFFIX)] = path
-    for path in sorted(folder.iterdir()):
-        if path.is_file() and not path.name.startswith(".") and _is_capture(path):
-            found.setdefault(path.stem, path)
+    files = visible_files(folder)
+    takes = [path for path in files if path.name.endswith(TAKE_SUFFIX)]
+    found = {path.name.removesuffix(TAKE_SUFFIX): path for path in takes}
+    for path in filter(_is_capture, files):
+        found.setdefault(path.stem, path)
     return found
 
 
