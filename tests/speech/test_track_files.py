@@ -87,6 +87,11 @@ def test_a_short_textgrid_of_the_montreal_aligner_is_read(tmp_path: Path, encodi
         ("x.lab", "nan 0.3 ah\n0.3 0.6 b\n", "'ah' lasts from nan to 0.3 s"),
         ("x.json", '{"phones": [{"start": 1}]}', "is not"),
         ("x.json", '{"tiers": {"phones": {"entries": [[0]]}}}', "not lists of .start, end, label"),
+        (
+            "x.json",
+            '{"tiers": {"phones": {"entries": [[0, 1' + 400 * "0" + ', "a"]]}}}',
+            "not lists of .start, end, label",
+        ),
         ("x.TextGrid", "not a grid", "cannot be read as a TextGrid"),
         ("x.TextGrid", SHORT.replace("phones", "notes"), "no tier of phones, only 'Anna - notes'"),
     ],

@@ -34,6 +34,12 @@ _WEB_MAUS = {"ort-mau": "words", "kan-mau": "dictionary"}
 """Names of WebMAUS's tiers; its phones are in `MAU`."""
 _LEAST_SECONDS = 1e-6
 
+_WRONG_TYPES = (
+    *(ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
+    RecursionError,
+)
+"""What JSON of other types than expected raises."""
+
 
 def read_phone_track(path: Path) -> PhoneTrack:
     """Read phones, and words and emotions if the file has them.
@@ -151,14 +157,7 @@ def _from_json(path: Path, text: str) -> PhoneTrack:
             [Span(float(e["start"]), float(e["end"]), str(e["label"])) for e in data.get(key, [])]
             for key in ("phones", "words", "emotions")
         ]
-    except (
-        ArithmeticError,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-    ) as error:
+    except _WRONG_TYPES as error:
         raise InputError(
             f'{path}: is not {{"phones": [{{"start": 0.1, "end": 0.2, "label": "AH"}}, ...]}}: '
             f"{error}"
@@ -208,7 +207,7 @@ def _from_tiers_json(path: Path, text: str) -> PhoneTrack:
     try:
         tiers = json.loads(text)["tiers"]
         return _from_tiers(path, [(name, tier["entries"]) for name, tier in tiers.items()])
-    except (LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
+    except _WRONG_TYPES as error:
         raise InputError(
             f"{path}: its tiers are not lists of [start, end, label]: {error}; export it again"
         ) from error
