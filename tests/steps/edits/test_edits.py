@@ -518,6 +518,17 @@ def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> Non
     run(TrainSpec(references=out, out=shot / "v2.mapping.usdc", method="ridge"))
 
 
+def test_edits_of_a_shape_that_the_solve_has_no_more_teach_nothing(shot: Shot) -> None:
+    path, references = shot / "shot.hero.usda", shot / "hero.references.usda"
+    late = unpaired(shot, 300)
+    edit(path, override=0.8, frames="100-120")
+    edit(path, "eyeBlinkLeft", override=1.0, frames=f"{late}-{late}")
+    file = edits_path(path)
+    file.write_text(file.read_text(encoding="utf-8").replace("jawOpen", "gone"), encoding="utf-8")
+    given = {"performances": (path,), "references": references, "out": shot / "v2.references.usda"}
+    assert run(ReferencesFromEditsSpec.model_validate(given)).figures["frames"] == [late]
+
+
 def test_curves_of_a_dcc_that_peak_at_different_frames_teach_where_they_are_strongest(
     shot: Shot,
 ) -> None:

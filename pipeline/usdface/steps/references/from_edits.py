@@ -109,8 +109,9 @@ def _edited_frames(
     check_shapes(reader, old, spec.references)
     edited = reader.edited().astype(np.float64)
     changes = np.abs(edited - reader.solved())
-    columns = [reader.names.index(name) for name in reader.edits]
-    curves = [edit.curve for edit in reader.edits.values()]
+    known = [name for name in reader.edits if name in reader.names]
+    columns = [reader.names.index(name) for name in known]
+    curves = [reader.edits[name].curve for name in known]
     rows = np.flatnonzero(full_strength_frames(curves, changes[:, columns].T))
     if not len(rows):
         notes.append(f"{performance}: no frame was edited by more than {LEAST_CHANGE:g}")
