@@ -8,12 +8,17 @@ import yaml
 
 import usdface
 from tests.regenerate import JSON_SCHEMAS, json_schemas
+from usdface.cli.spec_options import build_spec
 from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
+from usdface.specs.base import Spec
+from usdface.specs.edits import EditSpec
 from usdface.specs.job import STEP_SPECS, JobSpec
 from usdface.specs.paths import Reads, Writes, frame_range
 from usdface.specs.performance import MapSpec
 from usdface.specs.reading import PATTERN_WORDS, read_job, spec_text
+from usdface.specs.retarget import CyclicSpec
+from usdface.specs.review import MovieSpec, SheetSpec
 
 JOB = """
 job: kitchen_talk_v003
@@ -142,6 +147,33 @@ def test_every_fault_is_told_at_once(tmp_path: Path) -> None:
     text = JOB.replace("count: 50", "count: 1").replace("sources: [kitchen.c3d]", "sources: []")
     with pytest.raises(InputError, match=r"2 faults\n.*sources.*\n.*count"):
         read_job(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("spec", "given", "message"),
+    [
+        (EditSpec, {"add": 0.1, "shape": ["a"], "frames": "1-9999999999"}, "frame 9999999999 is"),
+        (SheetSpec, {"frames": "1,-9999999999", "out": "a.jpg"}, "frame -9999999999 is beyond"),
+        (MovieSpec, {"rate": 1e-320, "out": "a.mp4"}, "rate: give 0.01 or more"),
+    ],
+)
+def test_frames_and_rates_that_no_take_has_are_refused(
+    spec: type[Spec], given: dict[str, object], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        build_spec(spec, {"performance": "p.usda"} | given)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [("methods", [""], "methods: give 1 or more"), ("every", 10**21, "every: give 1000000000")],
+)
+def test_a_round_trip_of_no_method_or_frame_is_refused(
+    option: str, value: object, message: str
+) -> None:
+    given = {"pairs": "p.usda", "source": "s.usda", "out": ["a.json"]}
+    with pytest.raises(InputError, match=message):
+        build_spec(CyclicSpec, given | {option: value})
 
 
 @pytest.mark.parametrize(

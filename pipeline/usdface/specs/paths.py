@@ -92,8 +92,13 @@ PrimPath = Annotated[str, Field(pattern=f"^{PRIM_PATTERN}$"), AfterValidator(pri
 FRAMES_PATTERN = r"^-?\d+--?\d+$"
 
 
+_FARTHEST_FRAME = 10**9
+"""As in notes of a review."""
+
+
 def _in_order(frames: str) -> str:
     first, last = _split_frames(frames)
+    _check_near(first, last)
     if last < first:
         raise ValueError(f"the last frame, {last}, precedes the first, {first}; swap them")
     return frames
@@ -104,8 +109,17 @@ Frames = Annotated[
 ]
 
 
+def _check_near(*frames: int) -> None:
+    if far := [frame for frame in frames if abs(frame) > _FARTHEST_FRAME]:
+        raise ValueError(f"frame {far[0]} is beyond {_FARTHEST_FRAME}; correct the number")
+
+
 def _in_order_or_listed(frames: str) -> str:
-    return _in_order(frames) if frame_list(frames) is None else frames
+    listed = frame_list(frames)
+    if listed is None:
+        return _in_order(frames)
+    _check_near(*listed)
+    return frames
 
 
 ChosenFrames = Annotated[

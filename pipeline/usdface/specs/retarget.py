@@ -226,7 +226,7 @@ class CyclicSpec(WeightTableSpec):
     """Source weights: a take that carries them (Live Link), or a performance."""
     out: MeasuredOut = ()
     """Files to write: .json for figures, .png or .jpg for curves. May be given twice."""
-    methods: tuple[Name, ...] = METHODS
+    methods: Annotated[tuple[Name, ...], Field(min_length=1)] = METHODS
     """Methods to compare."""
     published: bool = False
     """Compare `kernel_cca` and `hybrid` as published; see `train-retarget --published`."""
@@ -237,7 +237,7 @@ class CyclicSpec(WeightTableSpec):
     """Known weights of the target (.usd, .csv or .json), to measure the direct error as well."""
     frames: Frames | None = None
     """Frames to measure, as FIRST-LAST. Default: all."""
-    every: Annotated[int, Field(ge=1)] = 1
+    every: Annotated[int, Field(ge=1, le=10**9)] = 1
     """Measure every n-th frame."""
 
     @model_validator(mode="after")

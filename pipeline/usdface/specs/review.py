@@ -157,7 +157,7 @@ class MovieSpec(ShotSpec):
     panels: Annotated[tuple[PanelKind, ...], Field(min_length=1, max_length=3)] | None = None
     """Panels from left to right: `video`, `markers`, `performance`. Default: video, if there is
     one, and performance."""
-    rate: Annotated[float, Field(gt=0, le=240)] | None = None
+    rate: Annotated[float, Field(ge=0.01, le=240)] | None = None
     """Frames per second. Default: the video's rate, otherwise the take's, halved until it is at
     most 60."""
     height: Annotated[int, Field(ge=64, le=2160)] = 540

@@ -9,7 +9,7 @@ import pytest
 
 from tests.c3d_write import write_c3d
 from tests.model.placement.test_plausibility import synthetic, with_sides_exchanged
-from usdface.core.assets import Markers, Take, Video
+from usdface.core.assets import Markers, Take, Video, WeightsClip
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
@@ -145,9 +145,17 @@ def test_cut_frames_stay_where_they_were_in_time() -> None:
         101,
         synthetic(frames=60),
         video=Video(Path("x.mov"), Fraction(24), offset=0.25),
+        source=WeightsClip(
+            ("jawOpen",),
+            np.zeros((60, 1), np.float32),
+            101,
+            Fraction(30000, 1001),
+            gaps=((103, 110), (118, 123), (130, 131), (140, 150), (155, 160)),
+        ),
         timecode_start="00:00:59;20",
     )
     cut = cut_frames(whole, (121, 140), where="x")
+    assert cut.source.gaps == ((121, 123), (130, 131), (140, 140))
     assert (cut.first_frame, cut.frame_count) == (121, 20)
     assert cut.timecode_start == "00:01:00;12", "20 frames on, of which two labels do not exist"
     taken = 7.5  # a moment of the cut, in seconds of the whole take

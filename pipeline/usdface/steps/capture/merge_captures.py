@@ -66,7 +66,13 @@ def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
             neutral_frame=neutral,
         )
     if source is not None:
-        source = replace(source, values=source.values[rows], first_frame=first)
+        within = (gap for gap in source.gaps if gap[0] <= last and gap[1] >= first)
+        source = replace(
+            source,
+            values=source.values[rows],
+            first_frame=first,
+            gaps=tuple((max(start, first), min(end, last)) for start, end in within),
+        )
     if video is not None:
         video = replace(video, offset=video.offset - float(Fraction(skipped) / take.rate))
     return replace(
