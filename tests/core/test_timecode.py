@@ -1,11 +1,12 @@
 """Timecode, against counting every label by hand."""
 
+import math
 from fractions import Fraction
 
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.core.rates import frames_of, shift_timecode, timecode_of
+from usdface.core.rates import exact_rate, frames_of, shift_timecode, timecode_of
 
 NTSC = Fraction(30000, 1001)
 
@@ -61,3 +62,10 @@ def test_shift_keeps_drop_frame_and_wraps_at_midnight() -> None:
 def test_a_label_that_does_not_exist_is_refused(label, rate, message) -> None:
     with pytest.raises(InputError, match=message):
         frames_of(label, rate)
+
+
+@pytest.mark.parametrize("rate", [math.nan, 0.0, -24.0, 1e-320, 1e6, math.inf])
+def test_a_rate_of_no_camera_is_refused(rate: float) -> None:
+    with pytest.raises(InputError, match=r"x: frame rate .*; it must be at least 0\.001 and at"):
+        exact_rate(rate, where="x")
+    assert exact_rate(0.001, where="x") == Fraction(1, 1000)

@@ -7,7 +7,6 @@ of 24, 25 or 30 have several frames per label, as on recorders: at 120 frames pe
 import re
 from collections.abc import Sequence
 from fractions import Fraction
-from math import isfinite
 
 from usdface.core.errors import InputError
 
@@ -123,8 +122,8 @@ _WHOLE_TOLERANCE = 1e-4
 """Relative; larger than the rounding of single precision and of three decimals."""
 
 _LARGEST_DENOMINATOR = 1001
-_HIGHEST_RATE = 100_000
-"""[Hz] Higher than that of any camera."""
+_LOWEST_RATE, _HIGHEST_RATE = 0.001, 100_000
+"""[Hz] Beyond those of any camera."""
 
 _LARGEST_FRAME_COUNT = 10_000_000
 """23 hours at 120 frames per second."""
@@ -145,10 +144,10 @@ def exact_rate(value: float, *, where: str) -> Fraction:
     A whole number, a multiple of 24 or 30 over 1.001 (23.976, 29.97, 59.94, 119.88, …), or the
     nearest fraction with a denominator of at most 1001.
     """
-    if not (isfinite(value) and 0 < value <= _HIGHEST_RATE):
+    if not _LOWEST_RATE <= value <= _HIGHEST_RATE:  # NaN included
         raise InputError(
-            f"{where}: frame rate {value}; it must be above 0 and at most {_HIGHEST_RATE}; "
-            "export the take again with its rate"
+            f"{where}: frame rate {value}; it must be at least {_LOWEST_RATE} and at most "
+            f"{_HIGHEST_RATE}; export the take again with its rate"
         )
     whole = round(value)
     if whole and abs(value - whole) <= _WHOLE_TOLERANCE * value and value / whole > 1 - 5e-4:
@@ -157,8 +156,7 @@ def exact_rate(value: float, *, where: str) -> Fraction:
         ntsc = Fraction(base * 1000, 1001)
         if abs(value - float(ntsc)) <= _NTSC_TOLERANCE:
             return ntsc
-    exact = Fraction(value).limit_denominator(_LARGEST_DENOMINATOR)
-    return exact if exact > 0 else Fraction(value)
+    return Fraction(value).limit_denominator(_LARGEST_DENOMINATOR)
 
 
 def frames_within(
