@@ -6,7 +6,7 @@ import pytest
 from usdface.core.arrays import FloatArray
 from usdface.demo import rig
 from usdface.demo.half_cage import Mark
-from usdface.demo.head import DemoHead, HeadPart, bare_head, lip_rim, lower_lid_edge, upper_lid_edge
+from usdface.demo.head import DemoHead, HeadPart, bare_head, lid_edge, lip_rim
 from usdface.demo.sculpt import ACTOR, CHARACTER, head_form
 
 
@@ -63,8 +63,8 @@ def test_the_sculpted_skin_lies_on_its_form(head: DemoHead) -> None:
 
 
 def test_eyelids_leave_a_gap_over_the_iris(head: DemoHead) -> None:
-    upper = head.points[upper_lid_edge(head.points, head.marks)]
-    lower = head.points[lower_lid_edge(head.points, head.marks)]
+    upper = head.points[lid_edge(head.points, head.marks, upper=True)]
+    lower = head.points[lid_edge(head.points, head.marks, upper=False)]
     x = head.style.eye.center[0]
     gap = np.interp(x, upper[:, 0], upper[:, 1]) - np.interp(x, lower[:, 0], lower[:, 1])
     assert 8.0 < gap < 26.0

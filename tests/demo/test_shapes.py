@@ -6,7 +6,7 @@ import pytest
 from tests.demo.posed_head import posed
 from usdface.core.arrays import FloatArray
 from usdface.demo.half_cage import Mark
-from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
+from usdface.demo.head import DemoHead, HeadPart, lid_edge, lip_rim
 from usdface.demo.rig import mesh_points, rig_from_head
 
 ARKIT = (
@@ -37,8 +37,8 @@ def lip_gap(head: DemoHead, points: FloatArray) -> FloatArray:
 
 def lid_gap(head: DemoHead, points: FloatArray) -> FloatArray:
     """Height of the eye's opening, at points of the upper lid's edge [mm]."""
-    upper = upper_lid_edge(head.points, head.marks)
-    lower = lower_lid_edge(head.points, head.marks)
+    upper = lid_edge(head.points, head.marks, upper=True)
+    lower = lid_edge(head.points, head.marks, upper=False)
     below = np.interp(points[upper, 0], points[lower, 0], points[lower, 1])
     return points[upper, 1] - below
 

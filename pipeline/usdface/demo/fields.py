@@ -10,7 +10,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, smoothstep
 from usdface.demo.half_cage import Mark
-from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
+from usdface.demo.head import DemoHead, HeadPart, lid_edge, lip_rim
 
 BLINK_MEETS = 0.16
 """Height at which the lids of a blink meet, as a share of the opening from the lower lid's edge."""
@@ -76,14 +76,12 @@ class FaceFields:
         head, center = self.head, np.array(self.style.eye.center)
         self.angle = np.arctan2(self.y - center[1], self.z - center[2])
         self.reach = np.hypot(self.y - center[1], self.z - center[2])
-        x = self.x[head.anchors]
-        edges = {}
-        for name, edge in (
-            ("upper", upper_lid_edge(head.points, head.marks)),
-            ("lower", lower_lid_edge(head.points, head.marks)),
-        ):
-            edges[name] = np.interp(x, head.points[edge, 0], self.angle[edge])
-        opening = np.maximum(edges["upper"] - edges["lower"], 0.0)
+        edges = [lid_edge(head.points, head.marks, upper=up) for up in (True, False)]
+        upper, lower = (
+            np.interp(self.x[head.anchors], head.points[edge, 0], self.angle[edge])
+            for edge in edges
+        )
+        opening = np.maximum(upper - lower, 0.0)
         follow = np.interp(
             self.eye_ring,
             [-3.0, -2.0, 0.0, 1.0, 2.0, 3.0, 4.0],

@@ -105,8 +105,9 @@ def bare_head(style: Style) -> DemoHead:
     """Build the head of a style at rest, without shapes."""
     form = head_form(style)
     skin = _skin(style, form)
-    rim = upper_lid_edge(skin.points, skin.marks)
-    front = float(skin.points[_lip_middle(skin), 2]) - 5.0
+    rim = lid_edge(skin.points, skin.marks, upper=True)
+    lip = lip_rim(skin.points, skin.marks, upper=True)
+    front = float(skin.points[lip[len(lip) // 2], 2]) - 5.0
     halves = {
         HeadPart.EARS: details.ear(style, form),
         HeadPart.EYES: details.eyeball(style),
@@ -203,23 +204,12 @@ def _clear_eyeball(style: Style, points: FloatArray, marks: FloatArray) -> Float
     return np.asarray(points + (push - 1.0)[:, None] * offset * to_left)
 
 
-def upper_lid_edge(points: FloatArray, marks: FloatArray) -> IntArray:
-    """Return indices of the left upper lid's edge with both corners, the inner one first."""
+def lid_edge(points: FloatArray, marks: FloatArray, *, upper: bool) -> IntArray:
+    """Return indices of the edge of a left lid with both corners, the inner one first."""
     ring, side = marks[:, Mark.EYE_RING], marks[:, Mark.EYE_SIDE]
-    found = np.flatnonzero((np.abs(ring) < 1e-6) & (side > -1e-6) & (points[:, 0] > 0.0))
+    on_lid = (side > -1e-6) if upper else (side < 1e-6)
+    found = np.flatnonzero((np.abs(ring) < 1e-6) & on_lid & (points[:, 0] > 0.0))
     return found[np.argsort(points[found, 0])]
-
-
-def lower_lid_edge(points: FloatArray, marks: FloatArray) -> IntArray:
-    """Return indices of the left lower lid's edge with both corners, the inner one first."""
-    return upper_lid_edge(
-        points, marks * np.where(np.arange(len(Mark)) == Mark.EYE_SIDE, -1.0, 1.0)
-    )
-
-
-def _lip_middle(skin: DemoHead) -> int:
-    rim = lip_rim(skin.points, skin.marks, upper=True)
-    return int(rim[len(rim) // 2])
 
 
 def _with_piece(head: DemoHead, part: HeadPart, whole: Whole, colors: FloatArray) -> DemoHead:

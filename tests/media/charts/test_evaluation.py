@@ -23,8 +23,7 @@ def page(**changes: object) -> EvaluationPage:
         "verdict": ("good", "Good: 0.04 mm off the keys"),
         "first_frame": 101,
         "worst": (200, 444),
-        "lips_keys": 5 + 4 * np.sin(time),
-        "lips_solve": 5 + 4 * np.sin(time) + 3,
+        "lips": (5 + 4 * np.sin(time), 5 + 4 * np.sin(time) + 3),
         "shapes": tuple(ShapeBar(f"shape{i}", 0.1 / (i + 1), 0.01, 0.2) for i in range(7)),
     }
     return EvaluationPage(**(given | changes))  # type: ignore[arg-type]
@@ -42,7 +41,7 @@ def lips_of(picture: np.ndarray) -> np.ndarray:
 
 def test_what_is_not_known_takes_no_room() -> None:
     whole = draw_evaluation(page())
-    without_lips = draw_evaluation(page(lips_keys=None, lips_solve=None))
+    without_lips = draw_evaluation(page(lips=None))
     without_shapes = draw_evaluation(page(shapes=()))
     assert whole.shape[1] == without_lips.shape[1] == without_shapes.shape[1]
     assert without_lips.shape[0] < whole.shape[0]
@@ -51,10 +50,11 @@ def test_what_is_not_known_takes_no_room() -> None:
 
 
 def test_frames_that_were_not_compared_leave_gaps() -> None:
-    lips = page().lips_solve
+    lips = page().lips
     assert lips is not None
-    sparse = np.where(np.arange(500) < 250, lips, np.nan)
-    part, whole = (draw_evaluation(page(lips_solve=each)) for each in (sparse, lips))
+    keys, solve = lips
+    sparse = np.where(np.arange(500) < 250, solve, np.nan)
+    part, whole = (draw_evaluation(page(lips=(keys, each))) for each in (sparse, solve))
     part, whole = lips_of(part), lips_of(whole)
     assert 0.3 < lit(part, ORANGE) / lit(whole, ORANGE) < 0.7
 
@@ -85,8 +85,9 @@ def test_a_hundred_shapes_stay_on_one_page() -> None:
 def test_a_performance_without_error_draws() -> None:
     none = np.zeros(500)
     flat = tuple(ShapeBar(f"shape{i}", 0.0, 0.0, 0.0) for i in range(3))
-    same = page().lips_keys
+    lips = page().lips
+    assert lips is not None
     picture = draw_evaluation(
-        page(curves=(ErrorCurve("face", none),), shapes=flat, lips_solve=same)
+        page(curves=(ErrorCurve("face", none),), shapes=flat, lips=(lips[0], lips[0]))
     )
     assert picture.dtype == np.uint8

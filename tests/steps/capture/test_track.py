@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf, Vt
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
@@ -441,6 +442,13 @@ def test_a_part_of_something_else_is_refused(tracked, tmp_path) -> None:
         tracked(video, one_head, parts=(tmp_path / "x.take.usda",), out=tmp_path / "y.take.usda")
     with pytest.raises(ValidationError, match="neutral has no effect with part"):
         tracked(video, one_head, part=True, neutral=3)
+    layer = Sdf.Layer.FindOrOpen(str(part))
+    (made_from,) = (each for each in layer.rootPrims[0].attributes if "madeFrom" in each.name)
+    for damaged in ([], list(made_from.default)[:1]):
+        made_from.default = Vt.TokenArray(damaged)
+        layer.Save()
+        with pytest.raises(InputError, match=r"part\.usdc: was made with another"):
+            tracked(video, one_head, parts=(part,))
 
 
 def test_a_killed_run_goes_on_where_it_was(tracked, tmp_path, monkeypatch) -> None:

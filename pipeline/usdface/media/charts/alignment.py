@@ -21,6 +21,7 @@ from usdface.media.picture.canvas import fill_box, new_picture
 from usdface.media.picture.color import BLUE, BRIGHT, DIM, GREEN, ORANGE, PAGE, SOFT, VIOLET, Color
 from usdface.media.picture.text import TextStyle, draw_text, text_width, wrap_text
 from usdface.numerics.timing.audio_alignment import LEAST_AGREEMENT, LEAST_PEAK, SoundAlignment
+from usdface.numerics.timing.onset_correlation import OnsetCorrelation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,7 +78,7 @@ def draw_alignment(page: AlignmentPage) -> ByteImage:
         picture = new_picture(_PAGE_WIDTH, head + 40, PAGE)
     else:
         figure = new_figure(_PAGE_WIDTH, head + 600)
-        _draw_correlation(figure, page, sound, head + 36)
+        _draw_correlation(figure, page, sound.correlation, sound.drift, head + 36)
         _draw_windows(figure, sound, head + 346)
         picture = render(figure)
     fill_box(picture, 0, 0, 8, picture.shape[0], color)
@@ -87,14 +88,13 @@ def draw_alignment(page: AlignmentPage) -> ByteImage:
     return picture
 
 
-def _draw_correlation(figure: Figure, page: AlignmentPage, sound: SoundAlignment, y: int) -> None:
-    correlation = sound.correlation
-    if correlation is None:
-        return
+def _draw_correlation(
+    figure: Figure, page: AlignmentPage, correlation: OnsetCorrelation, drift: float, y: int
+) -> None:
     # The correlation's shift is that at the middle of the video; marks are at its start.
     middle = -float(correlation.shifts[0]) / 2
     marks = [
-        (mark.label, mark.offset + sound.drift * middle, GREEN if mark.chosen else VIOLET)
+        (mark.label, mark.offset + drift * middle, GREEN if mark.chosen else VIOLET)
         for mark in page.marks
     ]
     finite = correlation.shifts[np.isfinite(correlation.scores)]

@@ -85,10 +85,9 @@ class EvaluationPage:
     """Frame number of each curve's first value."""
     worst: tuple[int, ...] = ()
     """Frames to mark."""
-    lips_keys: FloatArray | None = None
-    lips_solve: FloatArray | None = None
-    """`lips_keys`, `lips_solve`: (frames,): distance of the lips [mm]; NaN at frames that were not
-    compared."""
+    lips: tuple[FloatArray, FloatArray] | None = None
+    """Distance of the lips by the keys and by the solve, (frames,) each [mm]; NaN at frames that
+    were not compared."""
     shapes: tuple[ShapeBar, ...] = ()
     """In the order to show."""
 
@@ -100,12 +99,12 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     strips = strip_height(len(page.curves))
     lips_top = _PAGE_MARGIN + HEADER_HEIGHT + VERDICT_HEIGHT + strips + _LEGEND_HEIGHT
     shapes_top = lips_top
-    if page.lips_keys is not None and page.lips_solve is not None:
+    if page.lips is not None:
         shapes_top += LIPS_HEIGHT + 100
     bottom = shapes_top + (rows * _ROW_HEIGHT + 70 if rows else 0)
     figure = new_figure(PAGE_WIDTH, bottom)
-    if page.lips_keys is not None and page.lips_solve is not None:
-        _draw_lips(figure, page.lips_keys, page.lips_solve, page.first_frame, y=lips_top + 28)
+    if page.lips is not None:
+        _draw_lips(figure, *page.lips, page.first_frame, y=lips_top + 28)
     if shapes:
         _draw_shapes(figure, shapes, y=shapes_top + 36)
     picture = render(figure)

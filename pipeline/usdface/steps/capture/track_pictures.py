@@ -120,7 +120,7 @@ class _Stretch:
     """Consecutive pictures, and the file of their detections."""
 
     pictures: IntArray
-    file: Path | None
+    file: Path
     is_part: bool = False
 
 
@@ -164,12 +164,9 @@ class PictureDetector:
         if (owner < 0).any():
             self._check_model()
         stretches = list(self._stretches(timing.pictures, owner))
-        if isinstance(video, ImageSequence) or len(stretches) == 1:
-            # Only one picture of a sequence is hashed, so changes of others would not be noticed.
-            stretches = [
-                each if each.is_part else _Stretch(each.pictures, None) for each in stretches
-            ]
-        if any(each.file is not None and not each.is_part for each in stretches):
+        # Only one picture of a sequence is hashed, so changes of others would not be noticed.
+        stored = len(stretches) > 1 and not isinstance(video, ImageSequence)
+        if stored and (owner < 0).any():
             make_side_folder(self._folder)
         done = 0
         for stretch in stretches:
@@ -179,7 +176,7 @@ class PictureDetector:
                 (done + len(stretch.pictures)) / len(timing.pictures),
             )
             done += len(stretch.pictures)
-            yield from self._faces(stretch, video, ahead)
+            yield from self._faces(stretch, video, ahead, stored=stored)
 
     def write(
         self,
@@ -219,7 +216,7 @@ class PictureDetector:
     def _part_pictures(self, path: Path) -> IntArray:
         """Return the pictures of a part, after checking that it is of this video."""
         arrays, names = read_detections(path, _ARRAYS[:1], _NAMES)
-        made = names["madeFrom"]
+        made = (*names["madeFrom"], "", "", "")[:3]  # also of a damaged file
         expected = (self._video_hash(), self._spec.quality, self.digest or made[-1])
         if made != expected:
             kinds = ("video", "--quality", "model")
@@ -243,12 +240,13 @@ class PictureDetector:
                 name = f"{key}.{stretch[0]:07d}-{stretch[-1]:07d}.usdc"
                 yield _Stretch(stretch, self._folder / name)
 
-    def _faces(self, stretch: _Stretch, video: OpenVideo, progress: Progress) -> list[PictureFaces]:
+    def _faces(
+        self, stretch: _Stretch, video: OpenVideo, progress: Progress, *, stored: bool
+    ) -> list[PictureFaces]:
         """Return the faces in the pictures of a stretch, from its file if it is there."""
         if stretch.is_part:
-            assert stretch.file is not None
             return self._read(stretch.file, stretch.pictures)
-        if stretch.file is not None and stretch.file.is_file():
+        if stored and stretch.file.is_file():
             with contextlib.suppress(InputError):  # damaged, so detected again
                 return self._read(stretch.file, stretch.pictures)
         faces = []
@@ -267,7 +265,7 @@ class PictureDetector:
                 progress(number / len(stretch.pictures), f"tracking {self._video.name}")
         if self._finder is not None:
             self.score_names = self._finder.score_names
-        if stretch.file is not None:
+        if stored:
             self.write(stretch.file, stretch.pictures, faces)
         return faces
 

@@ -152,8 +152,9 @@ def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
         curves=tuple(curves),
         first_frame=int(frames[0]),
         worst=worst_frames(evaluation),
-        lips_keys=None if lips is None else _over_time(frames, lips.truth_mm),
-        lips_solve=None if lips is None else _over_time(frames, lips.solved_mm),
+        lips=None
+        if lips is None
+        else (_over_time(frames, lips.truth_mm), _over_time(frames, lips.solved_mm)),
         shapes=tuple(
             ShapeBar(
                 evaluation.shape_names[column],
