@@ -108,7 +108,7 @@ def _sample(references: References) -> tuple[FloatArray, tuple[int, ...]]:
     Blinks are judged by it take by take, as by `select`; the pairs, if there is no sample.
     """
     motion = references.motion
-    if motion is None or not len(motion.sample):
+    if motion is None:
         return references.markers, (0,)
     return sampled_frames(motion), motion.sample_starts
 

@@ -14,7 +14,8 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
-from usdface.usdio.take.read import read_take
+from usdface.steps.inputs.placement import read_performer_markers
+from usdface.usdio.take.read import TakeReader, read_take
 from usdface.usdio.take.write import write_take
 
 NAMES = tuple(f"m{i:02d}" for i in range(len(NEUTRAL)))
@@ -51,6 +52,12 @@ def write(
 def from_neutral(seed: int) -> FloatArray:
     """A performance that begins with the neutral face."""
     return np.concatenate([NEUTRAL[None], performance(seed)])
+
+
+def test_a_rigid_marker_that_is_not_in_the_take_is_left_out(tmp_path: Path) -> None:
+    take = write(tmp_path, "first", from_neutral(0), rigid=("nose", *NAMES[:8]))
+    assert read_cleaned_takes((take,)).rigid == NAMES[:8]
+    assert read_performer_markers(TakeReader(take), [1]).rigid == tuple(range(8))
 
 
 def test_a_take_of_another_day_meets_the_first(tmp_path: Path) -> None:

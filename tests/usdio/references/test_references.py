@@ -22,6 +22,9 @@ from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
 
+NOT_FINITE = MotionSpace(np.full(12, np.nan), np.ones((3, 12)), np.ones(3), 3.0, np.ones((20, 3)))
+
+
 def small_references(folder: Path, pairs: int = 5, seed: int = 0) -> References:
     rng = np.random.default_rng(seed)
     components = np.linalg.qr(rng.normal(size=(12, 3)))[0].T
@@ -90,13 +93,30 @@ def test_references_read_back_the_same(tmp_path: Path) -> None:
         )
 
 
-@pytest.mark.parametrize("rate", [-24.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("rate", [-24.0, 1e300, float("nan"), float("inf")])
 def test_a_rate_that_is_none_is_refused(tmp_path: Path, rate: float) -> None:
     path = write(tmp_path, small_references(tmp_path))
     layer = Sdf.Layer.FindOrOpen(str(path))
     layer.GetAttributeAtPath("/References.face:reference:rate").default = rate
     layer.Save()
-    with pytest.raises(InputError, match=r"face:reference:rate is .*, no frames per second"):
+    with pytest.raises(InputError, match=r"face:reference:rate: frame rate .*; it must be"):
+        read_references(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rigid": ("nose",)}, "their rigid markers nose are none of their markers: restore"),
+        ({"neutral": np.zeros((0, 3))}, r"their neutral has 0 of \d+ markers: restore"),
+        ({"shape_names": (), "weights": np.zeros((5, 0))}, "they have no shapes: restore"),
+        ({"motion": NOT_FINITE}, "their motion space holds values that are not finite: restore"),
+    ],
+)
+def test_names_and_arrays_of_other_lengths_are_refused(
+    tmp_path: Path, change: dict[str, object], message: str
+) -> None:
+    path = write(tmp_path, replace(small_references(tmp_path), **change))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=message):
         read_references(path)
 
 

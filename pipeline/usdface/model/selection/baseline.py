@@ -192,7 +192,7 @@ class PerformerMarkers:
             neutral=neutral.astype(np.float64),
             positions=markers.positions,
             visible=markers.usable,
-            rigid=tuple(markers.names.index(name) for name in markers.rigid),
+            rigid=tuple(markers.names.index(n) for n in markers.rigid if n in markers.names),
         )
 
 

@@ -9,7 +9,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.errors import InputError
-from usdface.core.text import json_object
+from usdface.core.rates import exact_rate
+from usdface.core.text import first_few, json_object
 from usdface.usdio.authoring import names_in, read_array_samples, text_of, value_of
 from usdface.usdio.layers import read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
@@ -73,7 +74,7 @@ def read_references(path: Path) -> References:
     take_of = tuple(str(takes.Get(pair)) for pair in pairs)
     frame_of = np.array([frames.Get(pair) for pair in pairs], dtype=np.int64)
     _check_layers(stage, take_of, frame_of)
-    return References(
+    references = References(
         marker_names=marker_names,
         shape_names=tuple(shape_names[index] for index in columns),
         markers=markers * MM_PER_STAGE_UNIT,
@@ -100,6 +101,27 @@ def read_references(path: Path) -> References:
         if source
         else None,
     )
+    _check_contents(path, references)
+    return references
+
+
+def _check_contents(path: Path, references: References) -> None:
+    """Refuse references without shapes, of other markers, or whose motion is not finite."""
+    names, faults = references.marker_names, list[str]()
+    if not references.shape_names:
+        faults.append("they have no shapes")
+    if unknown := [name for name in references.rigid if name not in names]:
+        faults.append(f"their rigid markers {first_few(unknown)} are none of their markers")
+    if len(references.neutral) != len(names):
+        faults.append(f"their neutral has {len(references.neutral)} of {len(names)} markers")
+    motion = references.motion
+    if motion is not None and not all(
+        np.isfinite(each).all()
+        for each in (motion.mean, motion.components, motion.variances, motion.sample)
+    ):
+        faults.append("their motion space holds values that are not finite")
+    if faults:
+        raise InputError(f"{path}: {'; '.join(faults)}: restore the layers, or select again")
 
 
 def read_rig_of(references: References, path: Path) -> Rig:
@@ -113,8 +135,8 @@ def read_rig_of(references: References, path: Path) -> Rig:
 def _read_rate(root: Usd.Prim, path: Path) -> float:
     """Return the takes' rate, or 0 if it is unknown."""
     rate = float(value_of(root, RATE) or 0.0)
-    if not (np.isfinite(rate) and rate >= 0):
-        raise InputError(f"{path}: {RATE} is {rate}, no frames per second; select again")
+    if rate:
+        exact_rate(rate, where=f"{path} {RATE}")
     return rate
 
 
@@ -177,7 +199,8 @@ def _read_motion(root: Usd.Prim) -> MotionSpace | None:
         return np.array(root.GetAttribute(name).Get() or [], dtype=np.float64)
 
     mean, variances = get("face:motion:mean"), get("face:motion:variances")
-    if not len(mean) or not len(variances):
+    sample = get("face:motion:sample")
+    if not (len(mean) and len(variances) and len(sample)):
         return None
     return MotionSpace(
         mean=mean * MM_PER_STAGE_UNIT,
@@ -185,7 +208,7 @@ def _read_motion(root: Usd.Prim) -> MotionSpace | None:
         variances=variances * MM_PER_STAGE_UNIT**2,
         total_variance=float(root.GetAttribute("face:motion:totalVariance").Get())
         * MM_PER_STAGE_UNIT**2,
-        sample=get("face:motion:sample").reshape(-1, len(variances)) * MM_PER_STAGE_UNIT,
+        sample=sample.reshape(-1, len(variances)) * MM_PER_STAGE_UNIT,
         sample_starts=tuple(get("face:motion:sampleStarts").astype(int).tolist()) or (0,),
     )
 
