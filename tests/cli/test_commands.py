@@ -30,6 +30,21 @@ def run(*arguments: str) -> int:
     return int(stopped.value.code or 0)
 
 
+@pytest.mark.parametrize("command", ["describe", "validate", "edits list", "names"])
+def test_commands_that_print_refuse_folders_and_pipes(
+    tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, pipe = tmp_path / "takes.usda", tmp_path / "pipe.usda"
+    folder.mkdir()
+    os.mkfifo(pipe)
+    write_rig(tmp_path / "rig.usda", small_rig())
+    first = [str(tmp_path / "rig.usda")] if command == "names" else []
+    assert run(*command.split(), *first, str(folder)) == 2
+    assert f"a folder; {command} reads files: name them" in capsys.readouterr().err
+    assert run(*command.split(), *first, str(pipe)) == 2
+    assert "pipe.usda: a pipe or a device, not a file" in capsys.readouterr().err
+
+
 def test_the_installed_command_tells_its_version() -> None:
     command = Path(sys.executable).with_name("usdface")
     done = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from usdface.core.arrays import FloatArray, columns_by_name
+from usdface.core.arrays import columns_by_name
 from usdface.core.assets import Rig
-from usdface.core.controls import Controls
+from usdface.core.controls import Controls, shape_controls
 from usdface.core.progress import Progress, part, silent
 from usdface.demo import DOG_JOB_NAME
 from usdface.demo.acting import performance
@@ -31,7 +31,6 @@ from usdface.specs.retarget import (
 )
 from usdface.specs.review import FacesSpec
 from usdface.usdio.performance.weights_layer import make_header
-from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -86,11 +85,11 @@ def write_dog_inputs(folder: Path, *, progress: Progress = silent) -> None:
     weights = columns_by_name(clip.values[::_STEP_FRAMES], clip.names, human.shapes).astype(
         np.float64
     )
-    _write_human(folder / "talk.human.usda", human, weights)
+    _write(folder / "talk.human.usda", human, shape_controls(human.shapes, weights))
     progress(0.8, "posing both")
     _, poses = expressions(human.shapes)
-    _write_human(folder / "human_poses.usda", human, poses)
-    _write_dog(folder / "dog_poses.usda", dog, act(human.shapes, poses))
+    _write(folder / "human_poses.usda", human, shape_controls(human.shapes, poses))
+    _write(folder / "dog_poses.usda", dog, act(human.shapes, poses))
     # Happiness: a wince, an overshoot, and the actor's end pose. The first and last frames
     # equal the actor's, for a continuous transition.
     start = _SMILE.start - 1
@@ -110,7 +109,7 @@ def write_dog_inputs(folder: Path, *, progress: Progress = silent) -> None:
         wince[human.shapes.index(name)] = 0.7
     times = np.array([0, 11, 23, 34, _DOG_FRAMES - 1])
     keys = np.stack([first, wince, peak, 0.7 * peak, last])
-    _write_dog(
+    _write(
         folder / "dog_smile.usda",
         dog,
         act(human.shapes, PchipInterpolator(times, keys)(np.arange(_DOG_FRAMES))),
@@ -118,15 +117,7 @@ def write_dog_inputs(folder: Path, *, progress: Progress = silent) -> None:
     progress(1.0, "posed both")
 
 
-def _write_human(path: Path, rig: Rig, weights: FloatArray) -> None:
-    header = make_header(
-        rig, shape_names=rig.shapes, rate=Fraction(30), first_frame=1, last_frame=len(weights)
-    )
-    with writing_performance(path, header, rig) as writer:
-        writer.append(weights)
-
-
-def _write_dog(path: Path, rig: Rig, controls: Controls) -> None:
+def _write(path: Path, rig: Rig, controls: Controls) -> None:
     header = make_header(
         rig, shape_names=controls.shapes, rate=Fraction(30), first_frame=1, last_frame=len(controls)
     )

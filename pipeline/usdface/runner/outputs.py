@@ -19,11 +19,15 @@ from usdface.usdio.referenced_files import all_files, dependencies
 
 
 def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = ()) -> None:
-    """Refuse paths of a command without a spec outside the folder of ``USDFACE_ROOT``, if set."""
+    """Refuse inputs of a command without a spec that are no files, as `check_may_be_read` does.
+
+    And all paths outside the folder of ``USDFACE_ROOT``, if set.
+    """
     root = confinement_root()
     if root is not None:
         check_confined([(what, path) for path in (*reads, *writes)], root)
         _check_layers(what, reads, root)
+    _check_files(what, reads)
 
 
 def _check_layers(what: str, paths: Sequence[Path], root: Path) -> None:
@@ -78,11 +82,15 @@ def check_may_be_read(spec: Spec) -> None:
     if root is not None:
         check_confined(spec.named_paths(), root)
         _check_layers(spec.step, spec.paths(Reads), root)
+    _check_files(spec.step, spec.paths(Reads))
+
+
+def _check_files(what: str, paths: Sequence[Path]) -> None:
     # Reading a pipe or a device may block forever.
-    no_files = [path for path in spec.paths(Reads) if path.exists() and not path.is_file()]
+    no_files = [path for path in paths if path.exists() and not path.is_file()]
     if folders := [path for path in no_files if path.is_dir()]:
         raise InputError(
-            f"{first_few(folders)}: a folder; {spec.step} reads files: name them, such as "
+            f"{first_few(folders)}: a folder; {what} reads files: name them, such as "
             f"{folders[0] / '*'}"
         )
     if no_files:

@@ -21,7 +21,6 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
-
 NOT_FINITE = MotionSpace(np.full(12, np.nan), np.ones((3, 12)), np.ones(3), 3.0, np.ones((20, 3)))
 
 

@@ -60,18 +60,10 @@ def add_axes(
     up: str = "",
     whole: bool = False,
 ) -> Axes:
-    """Add axes with a grid, a caption and tick labels.
+    """Add axes with a grid, a caption above and tick labels.
 
-    Parameters
-    ----------
-    box : (x, y, width, height)
-        Position from the upper left corner, and size [pixels].
-    caption : str
-        Written above.
-    across, up : str
-        Labels of the axes, with unit.
-    whole : bool
-        Ticks only at whole numbers across, such as frames.
+    `box`: x, y from the upper left corner, width and height [pixels]. `across`, `up`: labels of the
+    axes, with unit. `whole`: ticks only at whole numbers across, such as frames.
     """
     from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 

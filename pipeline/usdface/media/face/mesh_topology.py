@@ -55,16 +55,8 @@ def cut_polygons(
 
     A quad cut along a diagonal is shaded by two of its corners only: where the normals of the two
     diagonals differ, a row of long quads shows a saw-tooth pattern, for instance between jaw and
-    neck. A centre point with the mean normal of all four corners avoids this.
-
-    Parameters
-    ----------
-    points : (points, 3) float array
-        At rest.
-    face_counts : (faces,) int array
-    face_indices : (corners,) int array
-    least_edge : float
-        Quads without a longer edge are cut along a diagonal.
+    neck. A centre point with the mean normal of all four corners avoids this. Quads without an edge
+    longer than `least_edge` are cut along a diagonal.
     """
     triangles, faces = triangulate(face_counts, face_indices)
     bent = _bent(points, triangles, face_counts, face_indices, least_edge)

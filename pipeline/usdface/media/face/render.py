@@ -27,15 +27,11 @@ _LEAST_KNOWN = 0.5
 class FaceRenderer:
     """Draws a rig in any pose; data independent of the pose is computed once.
 
-    Parameters
-    ----------
-    meshes : sequence of RigMesh
-        Hidden meshes are skipped. Coarse Catmull-Clark cages are subdivided. In meshes without
-        colours, eyes, teeth, lashes and the inside of the mouth are recognised.
-    display : callable, optional
-        Encodes light as bytes, see `display_view`; default: sRGB, which heat maps always use.
-    paper : bool
-        Whether the background is white, for print.
+    Hidden meshes are skipped. Coarse Catmull-Clark cages are subdivided. In meshes without colours,
+    eyes, teeth, lashes and the inside of the mouth are recognised.
+
+    `display`: encodes light as bytes, see `display_view`; by default sRGB, which heat maps always
+    use. `paper`: a white background, for print.
     """
 
     def __init__(

@@ -32,13 +32,7 @@ def catmull_clark(
     """Return one step of Catmull-Clark subdivision, with creases along borders.
 
     Border edges are creases, and a border point of a single face is fixed: USD's
-    ``interpolateBoundary = edgeAndCorner``.
-
-    Parameters
-    ----------
-    face_counts : (faces,) int array
-        Polygons of fewer than three corners are ignored.
-    face_indices : (corners,) int array
+    ``interpolateBoundary = edgeAndCorner``. Polygons of fewer than three corners are ignored.
 
     References
     ----------

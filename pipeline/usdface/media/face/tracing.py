@@ -109,15 +109,8 @@ def light_seen(
 ) -> Float32Array:
     """Return the visible share of a distant disc light from each point [0-1]: (n,) float32.
 
-    Parameters
-    ----------
-    positions : (n, 3) float32 array
-    direction : (3,) float32 array
-        Towards the light's centre, unit.
-    spread : float
-        The light's radius over its distance.
-    patterns, ray_count
-        As in `sky_seen`.
+    `direction`: unit vector towards the light's centre. `spread`: the light's radius over its
+    distance. `positions`, `patterns`: as in `sky_seen`.
     """
     side = np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)

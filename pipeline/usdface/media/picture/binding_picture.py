@@ -76,17 +76,9 @@ def draw_binding(
 ) -> ByteImage:
     """Draw the front with all names that fit, and both sides with those of their outer markers.
 
-    (height, 1600, 3) uint8 array, sRGB.
-
-    Parameters
-    ----------
-    meshes : sequence of RigMesh
-        At rest; hidden ones are not drawn.
-    verdict : tuple of str
-        ``'good'``, ``'check'`` or ``'bad'``, and the sentence, or empty.
-    yaw_degrees : float
-        Heading of the face, 0 along +Z.
-    quality : {'draft', 'final'}
+    (height, 1600, 3) uint8 array, sRGB. Meshes are at rest; hidden ones are not drawn. `verdict`:
+    ``'good'``, ``'check'`` or ``'bad'``, and the sentence, or empty. `yaw_degrees`: heading of the
+    face, 0 along +Z.
     """
     renderer = FaceRenderer(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])

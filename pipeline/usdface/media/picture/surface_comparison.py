@@ -46,15 +46,8 @@ def draw_compared(
 ) -> Iterator[SheetRow]:
     """Yield rows with a face for each method, and the last one's uncertainty as a heat map.
 
-    Parameters
-    ----------
-    still : sequence of RigMesh
-        Meshes that are not deformed: eyes, teeth, hair.
-    near : (markers, 3) float array
-        Positions on the mesh to frame [mm].
-    yaw_degrees : float
-        Position of the camera around the head.
-    quality : {'draft', 'final'}
+    `still`: meshes that are not deformed, as eyes, teeth and hair. `near`: positions on the mesh to
+    frame, (markers, 3) [mm]. `yaw_degrees`: of the camera around the head.
     """
     renderer = FaceRenderer([mesh, *still])
     others = np.concatenate([np.zeros((0, 3)), *(each.points for each in still)])

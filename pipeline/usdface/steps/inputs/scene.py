@@ -51,10 +51,6 @@ class SelectionScene:
         note = "" if lids is None else lids.note(self.rig.shapes)
         return [each for each in (note, missing_parts_note(self.parts)) if each]
 
-    def positions(self, rows: IntArray) -> FloatArray:
-        """Return the markers at rows of all takes."""
-        return self.takes.positions_at(rows).astype(np.float64)
-
     def displacements(self, rows: IntArray) -> FloatArray:
         """Return the displacements of markers at rows of all takes, at the rig's size."""
         return self.equation.motion(self.takes.positions_at(rows))

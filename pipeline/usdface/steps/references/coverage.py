@@ -63,8 +63,8 @@ def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, .
     if origin is None or origin.step != "select":
         return (), []
     takes = tuple(references.parent / str(name) for name in spec_of(origin).get("takes", ()))
-    confine("references coverage", reads=takes, writes=[picture])
     try:
+        confine("references coverage", reads=takes, writes=[picture])
         measured = measure_pairs(references, takes, progress=progress)
     except InputError as error:
         return (), [f"{picture.name} was not drawn again, and is out of date: {error}"]

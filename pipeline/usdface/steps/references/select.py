@@ -342,7 +342,7 @@ def _choose(selection: _Selection) -> ReferenceChoice:
 def _propose(selection: _Selection, rows: IntArray) -> FloatArray:
     """Return proposed weights, from the mapping if there is one, else from the rig's geometry."""
     scene, mapping = selection.scene, selection.mapping
-    positions = scene.positions(rows)
+    positions = scene.takes.positions_at(rows).astype(np.float64)
     weights = scene.equation.propose(positions, visible=scene.takes.usable_at(rows))
     lips = find_lips(scene.equation, scene.deformer, scene.parts)
     if lips is not None:
