@@ -61,8 +61,11 @@ def test_usd_sees_a_typed_prim(tmp_path: Path) -> None:
         ("face:array:centres:shape", [7, 4], r"21 numbers, which make no array of shape \(7, 4\)"),
         ("face:mapping:settings", "{", "settings or scores are no valid JSON"),
         ("face:mapping:neutral", [math.nan] * 6, "neutral holds NaN"),
+        ("face:mapping:neutral", [0.0] * 3, "neutral has 3 numbers, which make no array of"),
+        ("face:mapping:ranges", [], "ranges has 0 numbers, which make no array of"),
+        ("face:mapping:rigid", ["nose"], "rigid names nose, which are none of its markers"),
     ],
-    ids=["shape", "json", "nan"],
+    ids=["shape", "json", "nan", "neutral", "ranges", "rigid"],
 )
 def test_a_damaged_mapping_is_refused(tmp_path: Path, name, value, message) -> None:
     write_mapping(tmp_path / "m.usda", small_mapping(), provenance=Provenance())

@@ -11,6 +11,7 @@ from pxr import Sdf, Usd
 from usdface.core.assets import CandidateScore, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.text import first_few
 from usdface.usdio.authoring import (
     author_arrays,
     author_uniform,
@@ -71,13 +72,21 @@ def read_mapping(path: Path) -> TrainedMapping:
             f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
             "train again"
         ) from error
+    markers, shapes, rigid = (
+        tuple(map(str, _value(path, prim, name))) for name in ("markers", "channels", "rigid")
+    )
+    if unknown := [name for name in rigid if name not in markers]:
+        raise InputError(
+            f"{path} <{prim.GetPath()}>: face:mapping:rigid names {first_few(unknown)}, which are "
+            "none of its markers; train again"
+        )
     return TrainedMapping(
         method=str(_value(path, prim, "method")),
-        marker_names=tuple(map(str, _value(path, prim, "markers"))),
-        shape_names=tuple(map(str, _value(path, prim, "channels"))),
-        rigid=tuple(map(str, _value(path, prim, "rigid"))),
-        neutral=shaped(path, _value(path, prim, "neutral"), (-1, 3), "neutral"),
-        ranges=shaped(path, _value(path, prim, "ranges"), (-1, 2), "ranges"),
+        marker_names=markers,
+        shape_names=shapes,
+        rigid=rigid,
+        neutral=shaped(path, _value(path, prim, "neutral"), (len(markers), 3), "neutral"),
+        ranges=shaped(path, _value(path, prim, "ranges"), (len(shapes), 2), "ranges"),
         arrays=read_arrays(path, prim),
         settings=settings,
         scores=scores,
