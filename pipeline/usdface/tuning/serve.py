@@ -171,25 +171,28 @@ def _listen(spec: TuneSpec) -> socket.socket:
 
     The same port is the same origin, so that a page of an earlier server finds its unsent changes.
     """
-    wanted = spec.port if spec.port else _port_of(spec.references)
-    for port in (wanted, 0):
-        # Explicit protocol: with protocol 0, asyncio does not set TCP_NODELAY, a delay of 40 ms.
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        try:
-            if os.name == "posix":  # on Windows, two programs could share a port
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(("127.0.0.1", port))
-            listener.listen(64)
-        except OSError as error:
-            listener.close()
-            if spec.port or not port:
-                raise InputError(
-                    f"port {port} of this machine cannot be used ({error.strerror}); give another "
-                    "--port, or none"
-                ) from error
-        else:
-            return listener
-    raise InputError("no port of this machine can be used")
+    if spec.port:
+        return _bound(spec.port)
+    with contextlib.suppress(InputError):  # another server has it
+        return _bound(_port_of(spec.references))
+    return _bound(0)
+
+
+def _bound(port: int) -> socket.socket:
+    # Explicit protocol: with protocol 0, asyncio does not set TCP_NODELAY, a delay of 40 ms.
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    try:
+        if os.name == "posix":  # on Windows, two programs could share a port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", port))
+        listener.listen(64)
+    except OSError as error:
+        listener.close()
+        raise InputError(
+            f"port {port} of this machine cannot be used ({error.strerror}); give another --port, "
+            "or none"
+        ) from error
+    return listener
 
 
 def _port_of(path: Path) -> int:

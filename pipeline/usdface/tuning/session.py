@@ -223,7 +223,7 @@ class TuningSession:
         known = self.references
         for change in changes:
             where = f"{self.path.name}: a change of pair {change.pair + 1}"
-            if not 0 <= change.pair < len(known.frames):
+            if change.pair >= len(known.frames):
                 raise InputError(f"{where}, and there are {len(known.frames)}; reload the page")
             shown = (known.takes[change.pair], int(known.frames[change.pair]))
             if (change.take, change.frame) != shown:
@@ -236,7 +236,7 @@ class TuningSession:
             for name, value in change.weights.items():
                 if name not in self._column:
                     raise InputError(f"{where} names {name!r}, which is not a shape of the rig")
-                if not np.isfinite(value) or abs(value) > 100.0:
+                if abs(value) > 100.0:
                     raise InputError(f"{where}: {name} cannot be {value}; keep it near 0 to 1")
 
     def _layer_provenance(self) -> Provenance:

@@ -45,8 +45,8 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress) -> Step
     for index, source in enumerate(spec.sources):
         progress(0.6 * index / len(spec.sources), f"reading {source.name}")
         captures.append(_read_source(source, spec))
-    joined = join_captures(_labelled([capture.take for capture in captures], spec), spec.sources)
-    take = joined.take
+    takes = _labelled([capture.take for capture in captures], spec)
+    take, join_notes = join_captures(takes, spec.sources)
     if spec.mirrored in ("labels", "axes"):
         take = exchange_sides(take, spec.mirrored, where=_names(spec))
     warnings = _plausibility(spec, take, captures)
@@ -71,7 +71,7 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress) -> Step
     take = replace(take, audio=spec.audio or take.audio or next(iter(made), None))
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
-    notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
+    notes = (*(note for capture in captures for note in capture.notes), *join_notes)
     notes += (*timecode_notes, *padding, *(warnings or ()), *_unused_notes(spec, take, captures))
     log.info("%s: %d frames", spec.out, take.frame_count)
     return _report(spec, take, (*notes, *sound_notes), made)

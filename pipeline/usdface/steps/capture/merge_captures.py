@@ -4,7 +4,7 @@ import filecmp
 import re
 import wave
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import cast
@@ -211,16 +211,8 @@ _LONG_SECOND = Fraction(1001, 1000)
 """Duration of 30 labels at 29.97 frames per second, without drop frame."""
 
 
-@dataclass(frozen=True)
-class Joined:
-    """A take joined from captures."""
-
-    take: Take
-    notes: tuple[str, ...]
-
-
-def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
-    """Join the markers of one capture and the blendshape weights of another to one take.
+def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> tuple[Take, tuple[str, ...]]:
+    """Join the markers of one capture and the weights of another to one take; return it with notes.
 
     Weights are resampled to the markers' frames, aligned by timecode if both have it; otherwise
     they are assumed to start together, and that is noted.
@@ -236,7 +228,7 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
         )
     take = (with_markers or with_weights or takes)[0]
     if not with_markers or not with_weights or with_weights[0] is take:
-        return Joined(take, ())
+        return take, ()
     other = with_weights[0]
     clip = cast(WeightsClip, other.source)
     shift, note = _start_difference(take, other)
@@ -253,7 +245,7 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
             "last weights"
         )
     start = take.timecode_start or _start_at(take, other, notes)
-    return Joined(replace(take, source=resampled, timecode_start=start), tuple(notes))
+    return replace(take, source=resampled, timecode_start=start), tuple(notes)
 
 
 def _start_at(take: Take, other: Take, notes: list[str]) -> str:
