@@ -122,6 +122,12 @@ def read_capture(path: Path, *, format: str | None = None, **stated: Any) -> Cap
         ) from error
 
 
+def visible_files(folder: Path) -> list[Path]:
+    """Return the files of a folder by name, without hidden ones."""
+    files = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted(path for path in files if path.is_file())
+
+
 def recognise_format(path: Path) -> CaptureFormat:
     """Return the format of a file, from its first bytes."""
     check_may_open(path)

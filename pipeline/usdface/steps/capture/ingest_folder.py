@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 
-from usdface.capture.sniff import VIDEO_SUFFIXES, read_capture, recognise_format
+from usdface.capture.sniff import VIDEO_SUFFIXES, read_capture, recognise_format, visible_files
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.sidecars import is_usd_name
@@ -33,12 +33,6 @@ class Bundle:
     captures: tuple[Path, ...]
     video: Path | None
     audio: Path | None
-
-
-def visible_files(folder: Path) -> list[Path]:
-    """Return the files of a folder by name, without hidden ones."""
-    files = (path for path in folder.iterdir() if not path.name.startswith("."))
-    return sorted(path for path in files if path.is_file())
 
 
 def find_bundles(folder: Path, only: str | None = None) -> list[Bundle]:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from usdface.capture.sniff import recognise_format
+from usdface.capture.sniff import recognise_format, visible_files
 from usdface.capture.weight_table import read_weight_take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -11,7 +11,6 @@ from usdface.core.text import pluralize
 from usdface.runner.execute import execute_each
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import RetargetSpec
-from usdface.steps.capture.ingest_folder import visible_files
 
 TAKE_SUFFIX = ".take.usda"
 
