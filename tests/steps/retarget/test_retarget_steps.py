@@ -289,6 +289,17 @@ def test_cyclic_errors_are_figures_and_curves(trained: Stall, capsys) -> None:
     assert faces >= 6, "the source, and what each of five methods makes of it"
 
 
+def test_cyclic_refuses_pairs_of_shapes_that_the_source_lacks(trained: Stall, capsys) -> None:
+    layer = Sdf.Layer.FindOrOpen(str(trained / "x.pairs.proposed.usda"))
+    names = layer.GetAttributeAtPath("/Pairs/SourceWeights.blendShapes")
+    names.default = ["sneer", *names.default[1:]]
+    layer.Save()
+    assert usdface("cyclic", "x.pairs.usda", "--source", "shot.usda", "--out", "c.json") == 2
+    told = capsys.readouterr().err
+    assert "x.pairs.usda: 1 of its 3 shapes are not on " in told
+    assert "(sneer); propose pairs again" in told
+
+
 def test_cyclic_names_the_rig_that_its_pairs_lack(trained: Stall, capsys) -> None:
     (trained / "human.usda").rename(trained / "moved.usda")
     assert usdface("cyclic", "x.pairs.usda", "--source", "shot.usda", "--out", "c.json") == 2

@@ -4,7 +4,7 @@ import errno
 import io
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
@@ -17,8 +17,8 @@ from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import LABEL
-from usdface.core.replacing import replacing, write_bytes
-from usdface.core.text import json_object
+from usdface.core.replacing import replacing, write_bytes, write_text
+from usdface.core.text import json_object, json_text
 from usdface.core.version import __version__
 from usdface.media.picture.canvas import scale_picture
 from usdface.media.picture.color import bytes_from_linear, linear_from_srgb
@@ -44,6 +44,21 @@ _LEAST_ROOM = 64 << 10
 MAX_VALUES = 1 << 29
 """Largest picture: 16,384 by 8,192 pixels of four channels."""
 _DROP_BIT = 1 << 6
+
+
+def write_measurements(
+    paths: Sequence[Path],
+    figures: Mapping[str, object],
+    draw: Callable[[], ByteImage],
+    *,
+    metadata: Mapping[str, Any],
+) -> None:
+    """Write figures to the files that end in .json, and a picture of them to the others."""
+    for path in paths:
+        if path.suffix.lower() == ".json":
+            write_text(path, json_text({**figures, "provenance": metadata}))
+        else:
+            write_image(path, draw(), metadata=metadata)
 
 
 def write_image(

@@ -12,14 +12,12 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import write_text
-from usdface.core.text import json_text
 from usdface.media.charts.motion_curves import FIGURE_WIDTH, Curve, Panel, draw_motion_curves
 from usdface.media.face.camera import frame_rig
 from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.canvas import new_picture
 from usdface.media.picture.color import BRIGHT, PAGE, SERIES_COLORS, SOFT
-from usdface.media.picture.image import write_image
+from usdface.media.picture.image import write_measurements
 from usdface.media.picture.text import TextStyle, draw_text
 from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.regressions import find_retarget_method
@@ -57,6 +55,7 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress) -> Step
     pairs = read_pairs(spec.pairs)
     check_pairs(pairs, str(spec.pairs))
     source_rig = _rig(spec, pairs.source_rig, pairs.source_prim, "source")
+    source_rig.check_has(pairs.source_shapes, source=spec.pairs, remedy="propose pairs again")
     target_rig = _rig(spec, pairs.target_rig, pairs.target_prim, "target")
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     weights, source_notes = source_columns(spec.source, motion, pairs.source_shapes)
@@ -89,7 +88,12 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress) -> Step
             notes.append(f"positions were not matched: {error}")
     figures = _figures(spec, found, picks + motion.first_frame)
     source_weights = columns_by_name(weights[picks], pairs.source_shapes, source_rig.shapes)
-    _write(spec, found, figures, motion, (source_rig, source_weights), provenance)
+    write_measurements(
+        spec.out,
+        {"pairs": str(spec.pairs), **figures},
+        lambda: _draw(spec, found, motion.first_frame, source_rig, source_weights),
+        metadata=provenance.metadata,
+    )
     best = _least(found)
     return StepResult(
         spec.out,
@@ -165,38 +169,29 @@ def _figures(
     }
 
 
-def _write(
+def _draw(
     spec: CyclicSpec,
     found: tuple[CyclicError, ...],
-    figures: dict[str, object],
-    motion: SourceMotion,
-    source: tuple[Rig, FloatArray],
-    provenance: Provenance,
-) -> None:
-    """Write figures and curves; `source` is the rig and the weights of its shapes."""
-    made = provenance.metadata
-    for path in spec.out:
-        if path.suffix.lower() == ".json":
-            data = {"pairs": str(spec.pairs), **figures, "provenance": made}
-            write_text(path, json_text(data))
-        else:
-            title = f"{spec.source.stem}: round trip by {spec.pairs.stem}"
-            best = _least(found)
-            facts: tuple[str, ...] = (
-                f"least error {best.mean_vertex_mm.mean():.2f} mm with {best.method}",
-            )
-            if best.mean_vertex_mm.mean() < _NO_ERROR_MM and best.direct_mm is None:
-                facts += ("an invertible map has no round-trip error: measure it against --truth",)
-            picture = draw_motion_curves(
-                title,
-                facts,
-                _panels(found),
-                first_frame=motion.first_frame,
-                step=spec.every,
-                from_zero=True,
-            )
-            faces = _draw_returned(found, *source, motion.first_frame, spec.every)
-            write_image(path, np.concatenate([picture, faces]), metadata=made)
+    first_frame: int,
+    rig: Rig,
+    weights: FloatArray,
+) -> ByteImage:
+    """Draw the curves, and below them the source's face and each round trip."""
+    best = _least(found)
+    facts: tuple[str, ...] = (
+        f"least error {best.mean_vertex_mm.mean():.2f} mm with {best.method}",
+    )
+    if best.mean_vertex_mm.mean() < _NO_ERROR_MM and best.direct_mm is None:
+        facts += ("an invertible map has no round-trip error: measure it against --truth",)
+    curves = draw_motion_curves(
+        f"{spec.source.stem}: round trip by {spec.pairs.stem}",
+        facts,
+        _panels(found),
+        first_frame=first_frame,
+        step=spec.every,
+        from_zero=True,
+    )
+    return np.concatenate([curves, _draw_returned(found, rig, weights, first_frame, spec.every)])
 
 
 def _draw_returned(

@@ -6,11 +6,9 @@ from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import write_text
-from usdface.core.text import json_text
 from usdface.media.charts.evaluation import draw_evaluation
-from usdface.media.picture.image import write_image
-from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
+from usdface.media.picture.image import write_measurements
+from usdface.model.mapping.evaluation import evaluate_weights
 from usdface.runner.origin import take_name
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -54,7 +52,13 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> St
     )
     figures = evaluation_figures(evaluation)
     progress(0.8, "writing")
-    _write(spec, evaluation, figures, provenance)
+    title = f"{spec.performance.stem} against {spec.against.stem}"
+    write_measurements(
+        spec.out,
+        {"performance": str(spec.performance), "against": str(spec.against), **figures},
+        lambda: draw_evaluation(evaluation_page(evaluation, title=title)),
+        metadata=provenance.metadata,
+    )
     notes += _missing_notes(spec, table.frames, len(frames))
     notes += missing_shape_notes(
         spec.performance, solved.names, [name for name in table.names if name in rig.shapes]
@@ -91,25 +95,3 @@ def _missing_notes(spec: EvaluateSpec, keyed: tuple[int, ...], count: int) -> li
     if spec.frames or len(keyed) < 2 or len(keyed) >= count or (np.diff(np.sort(keyed)) > 1).any():
         return []
     return [f"{spec.against.name} has {len(keyed)} of the {count} frames; the others have no keys"]
-
-
-def _write(
-    spec: EvaluateSpec,
-    evaluation: Evaluation,
-    figures: dict[str, object],
-    provenance: Provenance,
-) -> None:
-    made = provenance.metadata
-    for path in spec.out:
-        if path.suffix.lower() == ".json":
-            data = {
-                "performance": str(spec.performance),
-                "against": str(spec.against),
-                **figures,
-                "provenance": made,
-            }
-            write_text(path, json_text(data))
-        else:
-            title = f"{spec.performance.stem} against {spec.against.stem}"
-            page = evaluation_page(evaluation, title=title)
-            write_image(path, draw_evaluation(page), metadata=made)
