@@ -13,6 +13,9 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 
+JOINT_WIDTH = 9
+"""Coordinates of a joint: translation, rotation vector, logarithm of its scale."""
+
 
 @dataclass(frozen=True)
 class Controls:

@@ -1,9 +1,11 @@
 """Authoring and reading of prims, uniform attributes, timing and arrays."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +14,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
+
+TrainingScore = TypeVar("TrainingScore")
 
 _GAPS = "face:source:unseen"
 """Of weights in takes, and in performances retargeted from them."""
@@ -40,6 +44,24 @@ def prim_in_scope(stage: Usd.Stage, type_name: str) -> Usd.Prim | None:
     root = stage.GetDefaultPrim()
     prims = (root, root.GetChild(type_name)) if root else ()
     return next((prim for prim in prims if prim and prim.GetTypeName() == type_name), None)
+
+
+def read_training(
+    path: Path, prim: Usd.Prim, schema: str, candidate: Callable[..., TrainingScore]
+) -> tuple[dict[str, Any], tuple[TrainingScore, ...]]:
+    """Return the settings of a training, and the errors of its candidates with NaN for null."""
+    try:
+        settings = json.loads(text_of(prim, f"face:{schema}:settings") or "{}")
+        scores = json.loads(text_of(prim, f"face:{schema}:scores") or "[]")
+        return dict(settings), tuple(
+            candidate(**{key: math.nan if value is None else value for key, value in each.items()})
+            for each in scores
+        )
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(
+            f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
+            "train again"
+        ) from error
 
 
 def top_path(path: str | Sdf.Path) -> Sdf.Path:

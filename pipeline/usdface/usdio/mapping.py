@@ -1,7 +1,6 @@
 """Reading and writing of trained mappings, as attributes of a typed prim."""
 
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from usdface.usdio.authoring import (
     doubles,
     prim_in_scope,
     read_arrays,
+    read_training,
     shaped,
     value_of,
 )
@@ -64,14 +64,7 @@ def read_mapping(path: Path) -> TrainedMapping:
             f"{path}: not a mapping: no FaceMapping is its default prim or in it; make one with "
             "`usdface train`"
         )
-    try:
-        settings = json.loads(_value(path, prim, "settings") or "{}")
-        scores = tuple(map(_score, json.loads(_value(path, prim, "scores") or "[]")))
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(
-            f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
-            "train again"
-        ) from error
+    settings, scores = read_training(path, prim, "mapping", CandidateScore)
     markers, shapes, rigid = (
         tuple(map(str, _value(path, prim, name))) for name in ("markers", "channels", "rigid")
     )
@@ -92,11 +85,6 @@ def read_mapping(path: Path) -> TrainedMapping:
         scores=scores,
         references=str(_value(path, prim, "references") or ""),
     )
-
-
-def _score(entry: dict[str, Any]) -> CandidateScore:
-    fields: dict[str, Any] = {k: math.nan if v is None else v for k, v in entry.items()}
-    return CandidateScore(**fields)
 
 
 def _value(path: Path, prim: Usd.Prim, name: str) -> Any:

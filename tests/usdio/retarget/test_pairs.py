@@ -20,7 +20,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
 from usdface.core.sidecars import proposed_path
-from usdface.model.retarget.train import retarget, train_retargeting
+from usdface.model.retarget.train import retarget, train_retargeting, unspanned_shares
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.retarget.pairs import merge_pairs, read_pairs, write_pairs
 from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting, write_retargeting
@@ -188,15 +188,46 @@ def test_a_retargeting_predicts_the_same_to_the_last_bit(
         read_retargeting(path)
 
 
-def test_a_damaged_retargeting_is_refused(written: tuple[Path, ExpressionPairs]) -> None:
+@pytest.mark.parametrize(
+    ("attribute", "value", "told"),
+    [
+        ("array:rest", [1.0, 2.0], r"face:array:rest.*train again"),
+        ("retargeting:channels", ["only"], r"face:array:rest has \d+ numbers.*train again"),
+        ("retargeting:attributes", [], r"face:array:rest has \d+ numbers.*train again"),
+        ("retargeting:joints", [], r"face:array:mean_rotations has \d+ numbers.*train again"),
+        ("retargeting:source", ["a"], r"face:array:fit_source_rest has 3 numbers.*train again"),
+    ],
+)
+def test_a_damaged_retargeting_is_refused(
+    written: tuple[Path, ExpressionPairs], attribute: str, value: list, told: str
+) -> None:
     path, pairs = written
     out = path.with_name("r.usda")
     write_retargeting(out, train_retargeting(pairs, method="ridge"), provenance=Provenance())
     layer = Sdf.Layer.FindOrOpen(str(out))
-    layer.GetAttributeAtPath("/Retargeting/FaceRetargeting.face:array:rest").default = [1.0, 2.0]
+    layer.GetAttributeAtPath(f"/Retargeting/FaceRetargeting.face:{attribute}").default = value
     layer.Save()
-    with pytest.raises(InputError, match=r"face:array:rest.*train again"):
+    with pytest.raises(InputError, match=told):
         read_retargeting(out)
+
+
+def test_a_retargeting_of_an_earlier_version_predicts_without_its_arrays(
+    written: tuple[Path, ExpressionPairs],
+) -> None:
+    path, pairs = written
+    trained = train_retargeting(pairs, method="ridge")
+    out = path.with_name("r.usda")
+    write_retargeting(out, trained, provenance=Provenance())
+    layer = Sdf.Layer.FindOrOpen(str(out))
+    prim = layer.GetPrimAtPath("/Retargeting/FaceRetargeting")
+    for name in ("unused", "pair_span"):
+        for each in [each for each in prim.properties if f"fit_{name}" in each.name]:
+            prim.RemoveProperty(each)
+    layer.Save()
+    earlier = read_retargeting(out)
+    assert not unspanned_shares(earlier, human_moves(30)).any()
+    expected = retarget(trained, human_moves(30)).weights
+    np.testing.assert_array_equal(retarget(earlier, human_moves(30)).weights, expected)
 
 
 def test_a_sequence_comes_back_with_sides_of_different_length(tmp_path: Path) -> None:

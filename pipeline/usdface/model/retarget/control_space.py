@@ -10,16 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, relative_distances
-from usdface.core.controls import Controls, ExpressionPairs
+from usdface.core.controls import JOINT_WIDTH, Controls, ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.numerics.motion.rotation_space import (
     mean_rotation,
     rotation_vectors,
     rotations_at,
 )
-
-JOINT_WIDTH = 9
-"""Coordinates of a joint: translation, rotation vector, logarithm of its scale."""
 
 _SMALLEST_SCALE = 1e-6
 

@@ -160,11 +160,9 @@ def predict_coordinates(
         )
     arrays = {_EARLIER_NAMES.get(name, name): each for name, each in trained.arrays.items()}
     try:
-        inputs = (source - arrays["source_rest"]) * (1 - arrays.get("unused", 0))
+        inputs = (source - arrays["source_rest"]) * (1 - arrays["unused"])
         moved = _predict(trained.method, arrays, trained.settings, inputs, alpha)
-        if "target_units" in arrays:  # absent in earlier versions
-            moved = moved * arrays["target_units"]
-        return np.asarray(moved + trained.rest)
+        return np.asarray(moved * arrays["target_units"] + trained.rest)
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise InputError(
             f"the retargeting's arrays do not fit its method, {trained.method}, or the source: "
@@ -183,16 +181,11 @@ def unspanned_shares(trained: Retargeting, source: FloatArray) -> FloatArray:
     """Return the share of the source's motion that is no sum of the pairs' expressions.
 
     Of the summed squares of all weights, by shape: (source shapes,). Shapes that are the same in
-    all pairs do not count. 0 for retargetings of earlier versions.
-
-    Parameters
-    ----------
-    source : (frames, source shapes) float array
+    all pairs do not count. `source`: (frames, source shapes).
     """
     arrays = trained.arrays
-    span = arrays.get("pair_span", np.eye(len(trained.source_shapes)))
-    inputs = (source - arrays["source_rest"]) * (1 - arrays.get("unused", 0))
-    beyond = inputs - inputs @ span.T @ span
+    inputs = (source - arrays["source_rest"]) * (1 - arrays["unused"])
+    beyond = inputs - inputs @ arrays["pair_span"].T @ arrays["pair_span"]
     return np.asarray((beyond**2).sum(axis=0) / max(float((inputs**2).sum()), 1e-12))
 
 
@@ -294,10 +287,7 @@ def round_trip(
 ) -> FloatArray:
     """Return source weights after a round trip by one method: (frames, source shapes).
 
-    Parameters
-    ----------
-    alpha : (frames,) float array, optional
-        Share of the multiquadric at each frame, in both directions; for a hybrid only.
+    `alpha`: (frames,), share of the multiquadric in both directions [0-1]; for a hybrid only.
     """
     return _cycle(_fit(method, settings, examples), examples, source, alpha)
 

@@ -276,7 +276,7 @@ def _dead(
     """Return moving source shapes that no pair uses; refuse a motion of such shapes only."""
     columns = motion.weights @ transfer.matrix
     moving = np.abs(columns).max(axis=0, initial=0.0) > MOVING_WEIGHT
-    unused = trained.arrays.get("unused", np.zeros(len(trained.source_shapes))) > 0
+    unused = trained.arrays["unused"] > 0
     linked = transfer.matrix != 0
     dead = linked.any(axis=1) & ~linked[:, ~unused].any(axis=1)
     lost = {name for name, each in zip(transfer.source, dead, strict=True) if each}

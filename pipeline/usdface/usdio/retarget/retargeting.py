@@ -4,9 +4,10 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 from pxr import Sdf, Usd
 
-from usdface.core.controls import Retargeting, RetargetScore
+from usdface.core.controls import JOINT_WIDTH, Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import (
@@ -16,6 +17,8 @@ from usdface.usdio.authoring import (
     names_in,
     prim_in_scope,
     read_arrays,
+    read_training,
+    shaped,
     text_of,
     value_of,
 )
@@ -69,25 +72,34 @@ def read_retargeting(path: Path) -> Retargeting:
             f"{path}: not a retargeting: no {TYPE} is its default prim or in it; make one with "
             "`usdface train-retarget`"
         )
-    arrays = read_arrays(path, prim)
-    missing = [name for name in ("mean_rotations", "rest", "ranges") if name not in arrays]
-    if missing:
-        raise InputError(f"{path} <{prim.GetPath()}>: array {missing[0]} is missing; train again")
-    try:
-        settings = json.loads(_text(prim, "settings") or "{}")
-        scores = tuple(RetargetScore(**e) for e in json.loads(_text(prim, "scores") or "[]"))
-    except (ValueError, TypeError, RecursionError) as error:
-        raise InputError(
-            f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
-            "train again"
-        ) from error
+    settings, scores = read_training(path, prim, "retargeting", RetargetScore)
     asset = str(getattr(value_of(prim, "face:retargeting:rig"), "path", ""))
+    source, shapes, joints, attributes = (
+        _names(prim, name) for name in ("source", "channels", "joints", "attributes")
+    )
+    width = len(shapes) + JOINT_WIDTH * len(joints) + len(attributes)
+    earlier = {  # what earlier versions did without
+        "fit_unused": np.zeros(len(source)),
+        "fit_target_units": np.ones(width),
+        "fit_pair_span": np.eye(len(source)),
+    }
+    arrays = earlier | read_arrays(path, prim)
+    for name, shape in (
+        ("mean_rotations", (len(joints), 4)),
+        ("rest", (width,)),
+        ("ranges", (width, 2)),
+        ("fit_source_rest", (len(source),)),
+        ("fit_unused", (len(source),)),
+        ("fit_target_units", (width,)),
+        ("fit_pair_span", (-1, len(source))),
+    ):
+        arrays[name] = shaped(path, arrays.get(name), shape, f"face:array:{name}")
     return Retargeting(
         method=_text(prim, "method"),
-        source_shapes=_names(prim, "source"),
-        shapes=_names(prim, "channels"),
-        joints=_names(prim, "joints"),
-        attributes=_names(prim, "attributes"),
+        source_shapes=source,
+        shapes=shapes,
+        joints=joints,
+        attributes=attributes,
         mean_rotations=arrays.pop("mean_rotations"),
         rest=arrays.pop("rest"),
         ranges=arrays.pop("ranges"),
