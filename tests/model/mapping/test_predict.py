@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from usdface.core.errors import InputError
 from usdface.model.mapping import uncertainty
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of, noise_variance
+from usdface.model.mapping.performer_face import face_of_mapping
 from usdface.model.mapping.predict import basis_of, predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, REMOVED_METHODS, find_method
@@ -110,6 +112,22 @@ def test_a_region_whose_markers_the_take_lacks_has_no_markers() -> None:
         basis = basis_of(mapping, small_rig(), missing=mapping.marker_names[:lost])
         assert basis is not None
         assert basis.regions_without_markers == without
+
+
+def test_a_mapping_without_any_of_its_arrays_is_refused_or_read() -> None:
+    """Each array missing: nothing but InputError may escape, where a take is mapped."""
+    mapping = trained(synthetic_face())
+    settings = mapping.settings | {"pairs": 9, "tuned": 9}
+    refused = set()
+    for array in mapping.arrays:
+        left = {other: each for other, each in mapping.arrays.items() if other != array}
+        damaged = replace(mapping, arrays=left, settings=settings)
+        for read in (face_of_mapping, partial(basis_of, rig=small_rig())):
+            try:
+                read(damaged)
+            except InputError:
+                refused.add(array)
+    assert {"motion_components", "takes_sample", "forward_dual", "forward_scales"} <= refused
 
 
 def test_uncertainty_is_low_at_references_and_grows_with_strange_faces() -> None:

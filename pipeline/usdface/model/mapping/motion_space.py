@@ -88,14 +88,14 @@ def _spread(clips: Sequence[_Positions], count: int) -> list[FloatArray]:
 
 
 def motion_of(mapping: TrainedMapping) -> MotionSpace:
-    """Return the motion space of a mapping, without the sample, which prediction does not use."""
+    """Return the motion space of a mapping, with the sample that `motion_arrays` kept."""
     try:
         return MotionSpace(
             mean=mapping.arrays["motion_mean"],
             components=mapping.arrays["motion_components"],
             variances=mapping.arrays["motion_variances"],
-            total_variance=float(mapping.arrays["motion_total"][0]),
-            sample=np.zeros((0, len(mapping.arrays["motion_variances"]))),
+            total_variance=float(mapping.arrays["motion_total"].sum()),
+            sample=mapping.arrays["takes_sample"],
         )
     except KeyError as error:
         raise InputError(

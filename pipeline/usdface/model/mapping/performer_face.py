@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model.mapping.motion_space import thinned_sample
+from usdface.model.mapping.motion_space import motion_of, thinned_sample
 from usdface.numerics.rigid.pose_error import ExpressionMotion
 
 
@@ -36,39 +36,31 @@ class PerformerFace:
 
 
 def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
-    """Return the face of a mapping's training.
-
-    Raises
-    ------
-    InputError
-        If the mapping lacks its arrays, as in earlier versions.
-    """
-    missing = [name for name in ("motion_mean", "takes_sample") if name not in mapping.arrays]
-    if missing:
-        raise InputError(
-            f"the mapping lacks the array {missing[0]!r}; train it again with this version"
-        )
-    count = len(mapping.marker_names)
-    frames = mapping.arrays["motion_mean"] + (
-        mapping.arrays["takes_sample"] @ mapping.arrays["motion_components"]
-    )
+    """Return the face of a mapping's training; InputError if it lacks arrays, as earlier ones."""
+    motion, count = motion_of(mapping), len(mapping.marker_names)
+    frames = motion.mean + motion.sample @ motion.components
     takes = json.loads(str(mapping.settings.get("pair_takes", "[]")))
     pairs = mapping.arrays.get("pair_frames", np.zeros((0, 2))).astype(np.int64)
-    return PerformerFace(
-        mapping.marker_names,
-        mapping.rigid,
-        mapping.neutral,
-        frames.reshape(-1, count, 3),
-        np.ones((len(frames), count), np.bool_),
-        str(mapping.settings.get("performer", "")),
-        str(mapping.settings.get("session", "")),
-        ExpressionMotion.from_arrays(mapping.arrays, mapping.neutral),
-        {
-            take: (pairs[rows, 1], mapping.arrays["pair_markers"][rows])
-            for index, take in enumerate(takes)
-            if (rows := pairs[:, 0] == index).any()
-        },
-    )
+    try:
+        return PerformerFace(
+            mapping.marker_names,
+            mapping.rigid,
+            mapping.neutral,
+            frames.reshape(-1, count, 3),
+            np.ones((len(frames), count), np.bool_),
+            str(mapping.settings.get("performer", "")),
+            str(mapping.settings.get("session", "")),
+            ExpressionMotion.from_arrays(mapping.arrays, mapping.neutral),
+            {
+                take: (pairs[rows, 1], mapping.arrays["pair_markers"][rows])
+                for index, take in enumerate(takes)
+                if (rows := pairs[:, 0] == index).any()
+            },
+        )
+    except KeyError as error:
+        raise InputError(
+            f"the mapping lacks the array {error}; train it again with this version"
+        ) from error
 
 
 def face_of_references(references: References) -> PerformerFace:

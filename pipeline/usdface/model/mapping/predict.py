@@ -251,12 +251,12 @@ def basis_of(
         tuple(filter(None, str(settings.get(f"{each}_regions", "")).split(",")))
         for each in ("still", "unseen", "shapeless")
     )
-    is_missing = np.isin(mapping.marker_names, missing)
+    regions, is_missing = regions_of(mapping), np.isin(mapping.marker_names, missing)
     motion2 = ForwardModel.from_arrays(mapping.arrays).motion2 * mapping.arrays["region_markers"]
     unseen = motion2 @ is_missing > _MISSING_SHARE * motion2.sum(axis=1)
     unmarked += tuple(
         region
-        for region, is_unseen in zip(regions_of(mapping), unseen, strict=True)
+        for region, is_unseen in zip(regions, unseen, strict=True)
         if is_unseen and region not in unmarked
     )
     return SolveBasis(

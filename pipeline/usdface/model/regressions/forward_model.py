@@ -36,6 +36,7 @@ from usdface.core.arrays import (
     sample_frames,
     single_precision,
 )
+from usdface.core.errors import InputError
 from usdface.model.regressions.bent_weights import bend
 from usdface.model.regressions.driven_motion import DrivenMotion
 
@@ -243,8 +244,13 @@ class ForwardModel:
             for name, array in arrays.items()
             if name.startswith("forward_")
         }
-        scales, driven = fields.pop("scales").tolist(), DrivenMotion.from_arrays(arrays)
-        return cls(ForwardScales(*scales), **fields, driven=driven)
+        driven = DrivenMotion.from_arrays(arrays)
+        try:
+            return cls(ForwardScales(*fields.pop("scales").tolist()), **fields, driven=driven)
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"the mapping's arrays of its forward model are incomplete: {error}; train it again"
+            ) from error
 
 
 def fit_forward_model(

@@ -387,7 +387,7 @@ def eigenspace_picture(mapping: TrainedMapping, references: References, title: s
         Eigenspace(
             title=title,
             facts=(variance_line(mapping),),
-            takes=mapping.arrays["takes_sample"],
+            takes=motion.sample,
             references=marker_coordinates(motion, markers),
             shares=variance_shares(mapping),
         )
