@@ -1,4 +1,4 @@
-"""Markers that labels put on a head band are rigid without being named, if they are."""
+"""Rigid markers that are not named: on a head band by their labels, or none at all."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -65,3 +65,28 @@ def test_a_band_is_rigid_where_it_proves_so(tmp_path: Path, band_motion_mm: floa
     same = read_take(named).markers
     assert same is not None
     np.testing.assert_array_equal(cleaned.positions, same.positions)
+
+
+def test_a_head_without_rigid_markers_is_followed_by_all(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rest = np.stack([rng.uniform(-60, 60, 30), rng.uniform(-70, 60, 30), np.full(30, 40.0)], axis=1)
+    rest[:, 2] -= 0.01 * (rest[:, 0] ** 2 + rest[:, 1] ** 2)
+    t = np.arange(FRAMES)[:, None, None] / 60
+    motion_mm = np.where(rest[:, 1:2] < -20, 6.0, 1.5)
+    face = rest + motion_mm * np.sin(t * rng.uniform(2, 9, (30, 3)) + rng.uniform(0, 6, (30, 3)))
+    turns = Rotation.from_rotvec(np.sin(2 * t[:, 0]) * [0.1, 0.3, 0.05])
+    moved = np.einsum("fij,fkj->fki", turns.as_matrix(), face)
+    seen = np.ones(moved.shape[:2], bool)
+    names = tuple(f"m{number}" for number in range(30))
+    markers = Markers(names, moved.astype(np.float32), seen, seen.astype(np.float32), (), 1)
+    take, out = tmp_path / "skin.take.usda", tmp_path / "clean.take.usda"
+    captured = Take(name="skin", rate=Fraction(60), first_frame=1, markers=markers)
+    write_take(take, captured, provenance=Provenance())
+    notes = execute(CleanSpec(take=take, out=out)).notes
+    assert any("none keep their mutual distances" in note for note in notes)
+    cleaned = read_take(out)
+    assert cleaned.markers is not None
+    assert cleaned.head_motion is not None
+    assert (motion_mm[[names.index(name) for name in cleaned.markers.rigid]] < 6).all()
+    found = Rotation.from_matrix(cleaned.head_motion[:, :3, :3]) * turns[0] * turns.inv()
+    assert np.rad2deg(found.magnitude()).mean() < 1.5

@@ -1,6 +1,6 @@
 """Find the markers that move with the skull alone: those that keep their mutual distances."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,9 +15,9 @@ _LOW, _HIGH = 5.0, 95.0
 """[percentile] Swapped samples and outliers are outside."""
 _PERCENTILES_TO_DEVIATION = 3.29
 """Distance of the two percentiles of a normal distribution, in standard deviations."""
-_LARGEST_TURN = np.deg2rad(2.0)
-"""Largest error of the head's rotation: it moves the mouth, at 80 mm, by 3 mm, of which mapping
-removes most by the rig."""
+_CERTAIN_TURN, _LARGEST_TURN = np.deg2rad(2.0), np.deg2rad(8.0)
+"""Errors of the head's rotation up to which a set is rigid, and beyond which the markers are not on
+a face. The first moves the mouth, at 80 mm, by 3 mm, of which mapping removes most by the rig."""
 _LEAST_SEEN = 0.5
 """[of the frames] In which a marker must be visible."""
 _NEAR_BEST = 1.2
@@ -36,6 +36,16 @@ class RigidMarkers:
     """Mean standard deviation of their mutual distances, measurement noise included [mm]."""
     noise_mm: float = 0.0
     """Standard deviation of the measurement noise, per coordinate."""
+    rotation_error: float = 0.0
+    """Expected error of the head's rotation [rad]."""
+    motion_mm: FloatArray = field(default_factory=lambda: np.empty(0))
+    """(markers,): median standard deviation of each marker's distances to others that are seen with
+    it [mm]; infinite if there are none, or it is seen too rarely."""
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the set tells the head's rotation."""
+        return self.rotation_error <= _CERTAIN_TURN
 
     @property
     def residual_motion_mm(self) -> float:
@@ -62,7 +72,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     Raises
     ------
     ValueError
-        If there is no set of four or more markers, or the expected error of each exceeds 2
+        If there is no set of four or more markers, or the expected error of each exceeds 8
         degrees.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
@@ -93,7 +103,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
             "on the skull (head band, temples, bridge of the nose)"
         )
     # Of equally large sets the one with the smaller error.
-    count, _, order = max(
+    count, error, order = max(
         (
             (int(near) + _LEAST_MARKERS, float(row[near]), order)
             for order, row in zip(orders, errors, strict=True)
@@ -104,7 +114,12 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     chosen = np.sort(order[:count])
     deviation = deviations[np.ix_(chosen, chosen)].sum() / (count * (count - 1))
     indices = tuple(usable[chosen].tolist())
-    return RigidMarkers(indices, float(deviation), noise)
+    motion = np.full(seen.shape[1], np.inf)
+    for row, marker in enumerate(usable):
+        others = np.delete(deviations[row], row)
+        if np.isfinite(others).any():
+            motion[marker] = np.median(others[np.isfinite(others)])
+    return RigidMarkers(indices, float(deviation), noise, error, motion)
 
 
 def _candidate_orders(
