@@ -1,5 +1,7 @@
 """Markers whose labels say nothing: placed by shape and motion, wherever the performer looks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
@@ -7,6 +9,7 @@ from scipy.spatial import KDTree
 from tests.model.synthetic import skin_samples
 from tests.numerics.small_face import MOUTH, small_actor, small_face
 from tests.remembered import coarse_face_skin
+from usdface.model.placement import place as place_module
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import place_markers, pose_errors_at
 from usdface.numerics.registration.face_skin import sample_face_skin
@@ -72,7 +75,7 @@ def test_finds_known_markers_without_landmarks(face, skin, actor, placed):
     assert not placed.by_labels
 
 
-@pytest.mark.usefixtures("few_starts")
+@pytest.mark.usefixtures("two_pose_rounds", "few_starts")
 def test_a_head_band_that_slips_does_not_move_the_markers(face, skin, actor, placed):
     rng = np.random.default_rng(1)
     turns, moves = rng.normal(0, 0.02, (len(actor.positions), 3)), rng.normal(0, 3, (3, 1, 1, 3))
@@ -95,6 +98,24 @@ def test_right_places_are_more_probable_than_others_of_a_head_band_that_slips(sk
         pose_errors_at(cloud, skin, placed.virtual, each).evidence for each in (samples, others)
     )
     assert right > wrong + 0.1
+
+
+@pytest.mark.parametrize(("gain", "is_accepted"), [(-1.0, False), (0.009, False), (0.02, True)])
+@pytest.mark.parametrize("possible_mm", [0.5, 2.0])
+def test_a_placement_without_pose_errors_is_accepted_by_its_evidence(
+    skin, actor, placed, monkeypatch, possible_mm, gain, is_accepted
+):
+    cloud = marker_cloud(tuple(map(str, range(len(actor.neutral)))), actor.neutral, actor.positions)
+    samples = skin_samples(skin, placed.virtual)
+    none = pose_errors_at(cloud, skin, placed.virtual, samples)
+    others = [replace(placed, overturned_gain=gain) for gain in (0.25, 0.5)]
+    errors = [replace(none, possible_mm=possible_mm, evidence=0.0)]
+    errors += [replace(none, possible_mm=0.0, evidence=evidence) for evidence in (gain, -1.0)]
+    results, evidences = iter([placed, *others]), iter(errors)
+    monkeypatch.setattr(place_module, "_place", lambda *_: (next(results), samples))
+    monkeypatch.setattr(place_module, "pose_errors_at", lambda *_: next(evidences))
+    found = place_markers(cloud, skin, ("",) * len(skin.deltas))
+    assert found.overturned_gain == (0.25 if is_accepted else 0)
 
 
 def test_weights_are_followed_from_samples_nearby(skin, actor, placed):

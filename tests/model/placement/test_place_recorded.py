@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from tests.model.placement.conftest import search_from_few_starts
 from tests.numerics.simulated_face import hold_head
 from tests.remembered import coarse_face_skin
 from usdface.model.placement import place
@@ -90,6 +91,7 @@ def crossing(shared_data):
     cloud = marker_cloud(tuple(labels), neutral, moved, visible=seen, rigid=rigid)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(place, "_POSE_ROUNDS", 0)
+        search_from_few_starts(patch)
         virtual = place.place_markers(cloud, skin, face.shapes).virtual
     mobile = np.ones(len(labels), bool)
     mobile[rigid] = False
