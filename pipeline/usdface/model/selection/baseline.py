@@ -215,11 +215,21 @@ def set_up_equation(
     return equation_at(rig, deformer, placement.virtual, performer)
 
 
-@cache_last_result
 def equation_at(
     rig: Rig, deformer: Deformer, virtual: VirtualMarkers, performer: PerformerMarkers
 ) -> BlendshapeEquation:
     """Return the equation of markers at known places, `virtual`, on a character."""
+    return _equation_at(rig.shapes, rig.ranges, deformer, virtual, performer)
+
+
+@cache_last_result
+def _equation_at(
+    shapes: tuple[str, ...],
+    ranges: FloatArray,
+    deformer: Deformer,
+    virtual: VirtualMarkers,
+    performer: PerformerMarkers,
+) -> BlendshapeEquation:
     positions, visible, neutral = performer.positions, performer.visible, performer.neutral
     picks = sample_frames(len(positions), MOTION_FRAMES)
     deltas = marker_deltas(virtual, deformer.shapes.target_offsets())
@@ -230,7 +240,8 @@ def equation_at(
     )
     trust = np.ones(len(neutral))
     trust[list(performer.rigid)] = 0.0
-    full = range_ends(rig.ranges)[:, None, None] * deltas
+    ends = range_ends(ranges)
+    full = ends[:, None, None] * deltas
     errors = certain_errors(
         find_pose_errors(
             virtual, full, neutral, positions[picks], visible=visible[picks], rigid=performer.rigid
@@ -238,7 +249,7 @@ def equation_at(
     )
     motion = character_motion(virtual, errors.remove(positions[picks], visible[picks]), neutral)
     lids = find_lid_evidence(
-        rig.shapes,
+        shapes,
         deformer.full_offsets(),
         full,
         np.split(motion, np.searchsorted(picks, performer.starts[1:])),
@@ -249,12 +260,12 @@ def equation_at(
         full,
         motion,
         lids.closing,
-        ranges=rig.ranges_of_ends,
+        ranges=np.sort(ranges / ends[:, None], axis=1),
         visible=visible[picks],
         marker_trust=trust,
     )
     equation = BlendshapeEquation(
-        virtual, deltas, keys, neutral, rig.ranges, trust, gain, lids=lids, pose_errors=errors
+        virtual, deltas, keys, neutral, ranges, trust, gain, lids=lids, pose_errors=errors
     )
     few = picks[:: -(-len(picks) // _NOISE_FRAMES)]
     equation = replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
