@@ -105,8 +105,10 @@ def leave_one_out_errors(
     """
     _check(features, outputs, variances, choices)
     out = np.empty((len(choices), len(NOISES), outputs.shape[1]))
+    scalings = {(choice.dimensions, choice.power) for choice in choices}
+    scaled = {each: _Scaled(features, variances, *each) for each in scalings}
     for i, choice in enumerate(choices):
-        covariance = _Scaled(features, variances, choice).covariance()
+        covariance = scaled[choice.dimensions, choice.power].covariance(choice)
         values, vectors = np.linalg.eigh(covariance)
         values = np.maximum(values, 0.0)
         rotated = vectors.T @ outputs
@@ -147,8 +149,8 @@ def fit_gaussian_process(
     noise : (s,) float array
     """
     _check(features, outputs, variances, (choice,))
-    scaled = _Scaled(features, variances, choice)
-    covariance = scaled.covariance()
+    scaled = _Scaled(features, variances, choice.dimensions, choice.power)
+    covariance = scaled.covariance(choice)
     groups = _similar_pairs(scaled.rows)
     dual, residuals = np.empty_like(outputs), np.empty_like(outputs)
     amplitude = np.empty(outputs.shape[1])
@@ -164,7 +166,7 @@ def fit_gaussian_process(
     return GaussianProcess(
         scale=scaled.scale,
         centres=scaled.rows,
-        exponent=scaled.exponent,
+        exponent=scaled.exponent(choice),
         slope=scaled.rows.T @ dual,
         intercept=OFFSET_VARIANCE * dual.sum(axis=0),
         dual=choice.radial * dual,
@@ -195,27 +197,29 @@ def _group_amplitude(inverse: FloatArray, dual: FloatArray, groups: list[IntArra
 
 
 class _Scaled:
-    """Scaled features of one choice, and the terms of its covariance."""
+    """Scaled features, and the terms of their covariances."""
 
     def __init__(
-        self, features: FloatArray, variances: FloatArray, choice: ProcessSettings
+        self, features: FloatArray, variances: FloatArray, dimensions: int, power: float
     ) -> None:
-        kept = variances[: choice.dimensions]
-        self.choice = choice
-        whitened = kept ** (1 - choice.power)
+        kept = variances[:dimensions]
+        whitened = kept ** (1 - power)
         self.scale: FloatArray = np.sqrt(LINE_VARIANCE * whitened / (kept * whitened.sum()))
-        self.rows: FloatArray = features[:, : choice.dimensions] * self.scale
+        self.rows: FloatArray = features[:, :dimensions] * self.scale
         size2 = np.einsum("ij,ij->i", self.rows, self.rows)
-        self.product: FloatArray = self.rows @ self.rows.T
-        self.distance2: FloatArray = np.maximum(size2[:, None] + size2 - 2 * self.product, 0.0)
-        pairs = self.distance2[~np.tri(len(size2), dtype=np.bool_)]
+        self._product: FloatArray = self.rows @ self.rows.T
+        self._distance2: FloatArray = np.maximum(size2[:, None] + size2 - 2 * self._product, 0.0)
+        pairs = self._distance2[~np.tri(len(size2), dtype=np.bool_)]
         median = float(np.median(pairs)) if len(pairs) else 0.0
-        self.exponent = -0.5 / (choice.width * max(median, 1e-12 * LINE_VARIANCE))
+        self._median = max(median, 1e-12 * LINE_VARIANCE)
 
-    def covariance(self) -> FloatArray:
-        out: FloatArray = self.product + OFFSET_VARIANCE
-        if self.choice.radial:
-            out += self.choice.radial * np.exp(self.exponent * self.distance2)
+    def exponent(self, choice: ProcessSettings) -> float:
+        return -0.5 / (choice.width * self._median)
+
+    def covariance(self, choice: ProcessSettings) -> FloatArray:
+        out: FloatArray = self._product + OFFSET_VARIANCE
+        if choice.radial:
+            out += choice.radial * np.exp(self.exponent(choice) * self._distance2)
         return out
 
 
