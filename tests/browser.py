@@ -1,11 +1,13 @@
 """A real browser for tests of pages; tests that need it skip, saying why, where there is none."""
 
+import base64
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pytest
 
 ARGUMENTS = (
@@ -47,3 +49,22 @@ def chromium() -> Iterator[Any]:
             yield browser
         finally:
             browser.close()
+
+
+def evaluate_array(page: Any, function: str, given: object = None) -> np.ndarray:
+    """Return the typed array of a function in a page: ``Float32Array``, or of bytes.
+
+    Its bytes come as text, since Playwright checks numbers one by one.
+    """
+    text, kind = page.evaluate(
+        f"""(given) => {{
+          const array = ({function})(given);
+          const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
+          let text = "";
+          for (let at = 0; at < bytes.length; at += 8192)
+            text += String.fromCharCode(...bytes.subarray(at, at + 8192));
+          return [btoa(text), array.BYTES_PER_ELEMENT === 4 ? "<f4" : "u1"];
+        }}""",
+        given,
+    )
+    return np.frombuffer(base64.b64decode(text), kind)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.browser import evaluate_array
 from tests.media.forms import head, sphere
 from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_rig import small_rig
@@ -145,9 +146,10 @@ def test_a_browser_poses_the_face_as_the_deformer_does(
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(embed(tmp_path, rig).as_uri())
     page.wait_for_function("window.viewer")
-    posed = page.evaluate(
+    posed = evaluate_array(
+        page,
         "w => { viewer.setWeights(Float32Array.from(w)); viewer.draw();"
-        " return Array.from(viewer.face.positions); }",
+        " return viewer.face.positions; }",
         weights.tolist(),
     )
     shown = page.evaluate("viewer.thumbnail(viewer.weights, 64, 64).data.some((v) => v > 60)")
@@ -179,10 +181,10 @@ def test_a_browser_draws_lips_and_brows_where_pictures_have_them(
     page = browser.new_page()
     page.goto(embed(tmp_path, rig, camera=camera).as_uri())
     page.wait_for_function("window.viewer")
-    draw = f"w => Array.from(viewer.thumbnail(Float32Array.from(w), {size}, {size}).data)"
-    shown = [np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4))]
+    draw = f"w => viewer.thumbnail(Float32Array.from(w), {size}, {size}).data"
+    shown = [evaluate_array(page, draw, weights[0].tolist()).reshape(size, size, 4)]
     page.evaluate("viewer.face.bands = []")
-    shown.append(np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4)))
+    shown.append(evaluate_array(page, draw, weights[0].tolist()).reshape(size, size, 4))
     drawn_there = np.abs(np.subtract(*shown, dtype=float)).max(axis=2) > 25
     assert expected[:60].sum() > 50, "brows"
     assert expected[60:].sum() > 50, "lips"
@@ -253,14 +255,17 @@ def test_a_page_of_any_form_first_shows_the_whole_head(tmp_path: Path, browser: 
     page = browser.new_page()
     page.goto(embed(tmp_path, rig).as_uri())
     page.wait_for_function("window.viewer")
+    page.evaluate("(text) => { window.corners = JSON.parse(text); }", json.dumps(corners.tolist()))
     for width, height in ((200, 500), (300, 375), (500, 300)):
-        shown = page.evaluate(
-            "([width, height, corners]) => {"
+        shown = evaluate_array(
+            page,
+            "([width, height]) => {"
             " viewer.canvas.style.cssText = `width: ${width}px; height: ${height}px`;"
-            " viewer.draw(); return corners.map((corner) => viewer.project(...corner)); }",
-            [width, height, corners.tolist()],
+            " viewer.draw();"
+            " return Float32Array.from(corners.flatMap((each) => viewer.project(...each))); }",
+            [width, height],
         )
-        columns, rows, _ = np.transpose(shown)
+        columns, rows, _ = shown.reshape(-1, 3).T
         assert 0 < columns.min() < columns.max() < width
         assert 0 < rows.min()
         heights.append((np.ptp(columns), np.ptp(rows), width, height))
@@ -286,13 +291,12 @@ def test_what_lies_behind_the_skin_does_not_show_through_as_specks(
     page = browser.new_page(device_scale_factor=1)
     page.goto(embed(tmp_path, replace(rig, meshes=(skin, *balls)), camera=camera).as_uri())
     page.wait_for_function("window.viewer")
-    levels = np.array(
-        page.evaluate(
-            "(() => { viewer.draw(); const { gl, canvas } = viewer;"
-            " const levels = new Uint8Array(4 * canvas.width * canvas.height);"
-            " gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, 5121, levels);"
-            " return [...levels]; })()"
-        )
+    levels = evaluate_array(
+        page,
+        "() => { viewer.draw(); const { gl, canvas } = viewer;"
+        " const levels = new Uint8Array(4 * canvas.width * canvas.height);"
+        " gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, 5121, levels);"
+        " return levels; }",
     ).reshape(300, 300, 4)
     assert np.all(levels[..., 3] == 255), "the skin does not fill the picture"
     around = np.median(levels[..., 1])

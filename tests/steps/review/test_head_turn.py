@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.browser import evaluate_array
 from tests.steps.review.test_report import give_video, open_page
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, WeightsClip
@@ -143,10 +144,12 @@ def test_markers_of_the_report_turn_with_the_head(shot: Shot, browser: Any) -> N
     for head in (True, False):
         page.set_checked("#head", head)
         marks = {
-            name: page.evaluate(f"Array.from(report.viewer.marks.{name})")
+            name: evaluate_array(page, f"() => Float32Array.from(report.viewer.marks.{name})")
             for name in ("points", "targets")
         }
-        skin = page.evaluate("(report.viewer.draw(), Array.from(report.viewer.face.positions))")
+        skin = evaluate_array(
+            page, "() => { report.viewer.draw(); return report.viewer.face.positions; }"
+        )
         seen[head] = {
             name: np.array(values, np.float64).reshape(-1, 3)
             for name, values in {**marks, "skin": skin}.items()
