@@ -1,12 +1,7 @@
-"""What tests ask many times of the same files, computed once for all processes of a run.
-
-As a program, `python -m tests.remembered FOLDER ...` is the command line, with the places of
-markers remembered there.
-"""
+"""What tests ask many times of the same files, computed once for all processes of a run."""
 
 import os
 import pickle
-import sys
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -92,10 +87,3 @@ def store(file: Path, value: object) -> None:
     part = file.with_name(f"{file.name}.{os.getpid()}")
     part.write_bytes(pickle.dumps(value))
     part.replace(file)
-
-
-if __name__ == "__main__":
-    from usdface.cli import main
-
-    remember(Path(sys.argv.pop(1)), PLACING, setattr)
-    main()

@@ -5,8 +5,9 @@ The page's policy forbids `eval`, so conditions are polled rather than waited fo
 
 import io
 import json
+import multiprocessing
+import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -15,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +25,10 @@ import numpy as np
 import pytest
 
 from tests.browser import chromium
+from tests.remembered import PLACING, remember
 from tests.tuning.small_asset import small_references, write_asset
 from tests.usdio.small_rig import small_rig
+from usdface.cli import main
 from usdface.core.sidecars import poses_path, tuned_path
 from usdface.media.picture.image import encode_image
 from usdface.usdio.references.read import read_references
@@ -34,33 +38,50 @@ PATIENCE_SECONDS = 40.0
 
 
 class Command:
-    """`usdface tune`, running."""
+    """`usdface tune`, running, in a fork of a process that has imported it."""
 
-    program: tuple[str, ...] = ("usdface",)
+    folder: Path | None = None
+    """Where a run's processes remember the places of markers."""
 
     def __init__(self, asset: Path, *options: str) -> None:
-        command = ["tune", str(asset), "--no-browser", "--json", *options]
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", *self.program, *command],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        assert line, self._process.communicate()[1]
+        words = ["tune", str(asset), "--no-browser", "--json", *options]
+        said, out = FORKS.Pipe(duplex=False)
+        self._process = FORKS.Process(target=run_command, args=(words, self.folder, out))
+        self._process.start()
+        out.close()
+        self._said = os.fdopen(os.dup(said.fileno()), encoding="utf-8")
+        said.close()
+        line = self._said.readline()
+        assert line, "the command ended"
         self.link: str = json.loads(line)["link"]
 
     def kill(self) -> None:
         self._process.kill()
-        self._process.communicate()
+        self._process.join()
+        self._said.close()
 
     def interrupt(self) -> dict[str, Any]:
         """Press Ctrl+C and return the report."""
-        self._process.send_signal(signal.SIGINT)
-        out, err = self._process.communicate(timeout=PATIENCE_SECONDS)
-        assert self._process.returncode == 0, err
-        return dict(json.loads(out))
+        assert self._process.pid is not None
+        os.kill(self._process.pid, signal.SIGINT)
+        with self._said as said:
+            text = said.read()
+        self._process.join(PATIENCE_SECONDS)
+        assert self._process.exitcode == 0
+        return dict(json.loads(text))
+
+
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(["tests.remembered", "usdface.cli.app", "usdface.tuning.serve"])
+
+
+def run_command(words: list[str], folder: Path | None, out: Connection) -> None:
+    """Run the command line with its output into a pipe."""
+    os.dup2(out.fileno(), sys.stdout.fileno())
+    if folder is not None:
+        remember(folder, PLACING, setattr)
+    sys.argv = ["usdface", *words]
+    main()
 
 
 class Page:
@@ -99,7 +120,7 @@ class Page:
 
 @pytest.fixture(scope="module")
 def browser(remembered_folder: Path) -> Iterator[Any]:
-    Command.program = ("tests.remembered", str(remembered_folder))
+    Command.folder = remembered_folder
     with chromium() as running:
         yield running
 
