@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from tests.model.placement.conftest import search_from_few_starts
 from tests.model.surface.mouth import make_mouth
 from tests.small_scan import (
     FIRST,
@@ -246,7 +247,10 @@ def test_shapes_are_named_from_a_csv(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("placement_not_drawn", "coverage_not_drawn")
-def test_shapes_are_made_of_the_references_of_a_take(folder: Path) -> None:
+def test_shapes_are_made_of_the_references_of_a_take(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search_from_few_starts(monkeypatch)
     run(make_shapes(folder, count=3))
     chosen = SelectSpec(
         takes=(folder / "talk.take.usda",),
