@@ -26,6 +26,7 @@ from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.specs.review import SheetSpec
 from usdface.steps.capture import ingest
+from usdface.steps.performance.train import _read_pairs
 from usdface.usdio.mapping import read_mapping, write_mapping
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
@@ -261,10 +262,10 @@ def test_an_untuned_start_is_named_and_imports_count_all_that_is_tuned(shot: Sho
             takes=(shot / "shot.clean.take.usda",), rig=shot / "hero.usdc", out=asset, count=6
         )
     )
-    trained = run(TrainSpec(references=asset, out=shot / "untuned.mapping.usdc"))
-    for report in (selected, trained):
-        assert any(note.startswith("an untuned start: all ") for note in report.notes)
-        assert any("`usdface tune " in note for note in report.notes)
+    _, trained = _read_pairs(TrainSpec(references=asset, out=shot / "untuned.mapping.usdc"))
+    for notes in (selected.notes, trained):
+        assert any(note.startswith("an untuned start: all ") for note in notes)
+        assert any("`usdface tune " in note for note in notes)
     for count, frame in enumerate(read_references(asset).frames[:2].tolist(), start=1):
         table = shot / f"tuned{count}.csv"
         table.write_text(f"frame,jawOpen\n{frame},0.25\n")
@@ -328,24 +329,26 @@ def test_training_leaves_proposals_out_once_enough_pairs_are_tuned(shot: Shot) -
         )
     )
     train = TrainSpec(references=shot / "hero.references.usda", out=shot / "a.usdc", method="ridge")
-    every = run(train.model_copy(update={"all_pairs": True}))
-    assert every.notes[0].startswith(f"trained on {PAIRS} tuned pairs and 4 untuned proposals")
-    assert read_mapping(shot / "a.usdc").settings["pairs"] == PAIRS + 4
-    usual = run(train.model_copy(update={"out": shot / "b.usdc"}))
+    usual = run(train)
     assert usual.notes[0].startswith(
         f"trained on the {PAIRS} tuned pairs; 4 untuned proposals left"
     )
-    assert read_mapping(shot / "b.usdc").settings["pairs"] == PAIRS
-    only = run(train.model_copy(update={"out": shot / "c.usdc", "tuned_only": True}))
-    assert not any("proposals" in note for note in only.notes)
+    assert read_mapping(shot / "a.usdc").settings["pairs"] == PAIRS
+    every, notes = _read_pairs(train.model_copy(update={"all_pairs": True}))
+    assert notes[0].startswith(f"trained on {PAIRS} tuned pairs and 4 untuned proposals")
+    assert len(every.frames) == PAIRS + 4
+    only, notes = _read_pairs(train.model_copy(update={"tuned_only": True}))
+    assert not any("proposals" in note for note in notes)
+    assert len(only.frames) == PAIRS
     few = shot / "few.references.usda"
     take = shot / "shot.clean.take.usda"
     run(SelectSpec(takes=(take,), rig=shot / "hero.usdc", out=few, count=12))
     frames = read_references(few).frames[:7]
     (shot / "few.csv").write_text("frame,jawOpen\n" + "".join(f"{f},0.25\n" for f in frames))
     run(ReferencesImportSpec(references=few, weights=shot / "few.csv"))
-    mixed = run(train.model_copy(update={"references": few, "out": shot / "d.usdc"}))
-    assert mixed.notes[0].startswith("trained on 7 tuned pairs and ")
+    mixed, notes = _read_pairs(train.model_copy(update={"references": few}))
+    assert notes[0].startswith("trained on 7 tuned pairs and 5 untuned proposals")
+    assert len(mixed.frames) == 12
     with pytest.raises(ValidationError, match="all_pairs has no effect with tuned_only"):
         TrainSpec.model_validate(train.model_dump() | {"tuned_only": True, "all_pairs": True})
 

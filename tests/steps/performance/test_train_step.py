@@ -100,7 +100,7 @@ def test_mirrored_keys_are_noticed(
     weights[row, pairs.shape_names.index("jawOpen")] = 1.0
     keyed = replace(pairs, weights=weights, tuned=np.ones(len(weights), bool))
     monkeypatch.setattr(train, "read_keyed_references", lambda path: keyed)
-    notes = execute(TrainSpec(references=given, out=tmp_path / "x.usdc", method="ridge")).notes
+    _, notes = train._read_pairs(TrainSpec(references=given, out=tmp_path / "x.usdc"))
     found = [note for note in notes if "left and right may be exchanged" in note]
     assert len(found) == (said is not None)
     assert all(said in note for note in found)

@@ -14,6 +14,7 @@ from usdface.core.errors import InputError
 from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
 from usdface.runner.job import run_job
+from usdface.runner.result import StepResult
 from usdface.runner.state import job_states
 from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.reading import read_job
@@ -33,6 +34,11 @@ def spec_of(shot: Shot, **changes: object) -> EvaluateSpec:
         "against": shot / "keys.csv",
     }
     return EvaluateSpec(**(given | changes))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def usual(finished_shot: Shot) -> StepResult:
+    return execute(spec_of(finished_shot))
 
 
 def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -108,8 +114,8 @@ def test_evaluate_sheet_and_report_lead_with_one_figure_without_gaze_and_tongue(
         assert f"{value:.3f} mm" in page
 
 
-def test_the_table_goes_by_region_and_by_shape(finished_shot: Shot) -> None:
-    report = execute(spec_of(finished_shot))
+def test_the_table_goes_by_region_and_by_shape(usual: StepResult) -> None:
+    report = usual
     first = [line.split()[0] for line in report.table if line]
     for part in ("region", "face", "brows", "lids", "cheeks", "mouth", "jaw", "lips:", "blinks"):
         assert part in first
@@ -162,7 +168,9 @@ def test_a_truth_at_a_few_frames_is_enough(shot: Shot) -> None:
     assert frames["count"] == len(rows)
 
 
-def test_keys_by_other_names_are_the_same_keys(finished_shot: Shot, tmp_path: Path) -> None:
+def test_keys_by_other_names_are_the_same_keys(
+    finished_shot: Shot, usual: StepResult, tmp_path: Path
+) -> None:
     head, rows = (finished_shot / "keys.csv").read_text(encoding="utf-8").split("\n", 1)
     frame, *names = head.strip().split(",")
     named = [
@@ -173,7 +181,6 @@ def test_keys_by_other_names_are_the_same_keys(finished_shot: Shot, tmp_path: Pa
     ]
     keys = tmp_path / "other.csv"
     keys.write_text(",".join([frame, *named]) + "\n" + rows, encoding="utf-8")
-    usual = execute(spec_of(finished_shot))
     other = execute(spec_of(finished_shot, against=keys))
     assert other.figures["vertex_rms_mm"] == pytest.approx(usual.figures["vertex_rms_mm"])
     assert other.figures["weight_rmse"] == pytest.approx(usual.figures["weight_rmse"])
@@ -184,14 +191,13 @@ def test_keys_by_other_names_are_the_same_keys(finished_shot: Shot, tmp_path: Pa
 
 
 def test_keys_in_percent_are_the_same_keys(
-    finished_shot: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished_shot: Shot, usual: StepResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = read_weight_table(finished_shot / "keys.csv")
     keys, performance = tmp_path / "percent.csv", finished_shot / "shot.hero.usda"
     rows = np.c_[table.frames, 100 * table.weights]
     header = ",".join(("frame", *table.names))
     np.savetxt(keys, rows, "%.17g", ",", header=header, comments="")
-    usual = execute(spec_of(finished_shot))
     with pytest.raises(InputError, match="--weight-unit percent"):
         execute(spec_of(finished_shot, against=keys))
     percent = execute(spec_of(finished_shot, against=keys, weight_unit="percent"))
@@ -213,8 +219,8 @@ def test_keys_in_percent_are_the_same_keys(
         assert "weight_unit has no effect without against" in err
 
 
-def test_shapes_that_markers_cannot_show_are_named(finished_shot: Shot) -> None:
-    hidden = set(execute(spec_of(finished_shot)).figures["unobservable"])  # type: ignore[call-overload]
+def test_shapes_that_markers_cannot_show_are_named(usual: StepResult) -> None:
+    hidden = set(usual.figures["unobservable"])  # type: ignore[call-overload]
     assert len(hidden) == 9
     assert all(name == "tongueOut" or name.startswith("eyeLook") for name in hidden)
 
@@ -282,18 +288,16 @@ def other_solve(shot: Shot, name: str, weights: np.ndarray, rate: int) -> None:
         writer.append(weights.astype(float))
 
 
-def test_of_a_table_of_takes_the_rows_of_its_take_count(shot: Shot) -> None:
+def test_of_a_table_of_takes_the_rows_of_its_take_count(shot: Shot, usual: StepResult) -> None:
     header, *rows = (shot / "keys.csv").read_text("utf-8").splitlines()
     zeros = [f"b,{row.partition(',')[0]}{',0' * row.count(',')}" for row in rows]
     lines = [f"take,{header}", *(f"shot,{row}" for row in rows), *zeros]
     both = shot / "takes.csv"
     both.write_text("\n".join(lines), "utf-8")
     solved = shot / "shot.hero.usda"
-    alone, found = (
-        execute(EvaluateSpec(performance=solved, against=each)).figures["weight_rmse"]
-        for each in (shot / "keys.csv", both)
-    )
-    assert found == alone
+    alone = usual.figures["weight_rmse"]
+    found = execute(EvaluateSpec(performance=solved, against=both))
+    assert found.figures["weight_rmse"] == alone
     view = open_shot(solved, frames="1-39")
     np.testing.assert_array_equal(
         *(read_keys(each, view, None, []) for each in (shot / "keys.csv", both))

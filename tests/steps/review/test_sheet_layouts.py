@@ -117,8 +117,9 @@ def test_the_verdict_is_that_of_the_worst_character(shot: Shot, monkeypatch) -> 
 def test_a_performance_of_another_take_is_not_shown_beside_one(shot: Shot) -> None:
     other, take = second_performance(shot), (shot / "shot.clean.take.usda")
     both = {"performance": shot / "shot.hero.usda", "also": (other,)}
-    sheet = SheetSpec(**both, out=shot / "x.png", layout="characters", tile=64, rows=1)
-    report = ReportSpec(**both, out=shot / "x.html", frames="1-24")
+    small = {"tile": 64, "rows": 1, "quality": "draft"}
+    sheet = SheetSpec(**both, out=shot / "x.png", layout="characters", **small)
+    report = ReportSpec(**both, out=shot / "x.html", frames="1-24", baseline=False)
     text = other.read_text(encoding="utf-8")
     another = take.read_text(encoding="utf-8").replace('face:take = "shot', 'face:take = "nose')
     assert another.count("nose") == 1
