@@ -4,15 +4,20 @@ import os
 import signal
 import sys
 from itertools import count
+from multiprocessing import get_context
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from usdface.specs.job import STEP_SPECS
 
 
-def preloaded() -> list[str]:
-    """Return the modules that the process forked from imports once."""
+def forking() -> ForkServerContext:
+    """Return a context whose processes are forked from one that has imported all commands."""
+    context = get_context("forkserver")
     steps = [f"usdface.steps.{spec.module}" for spec in STEP_SPECS]
-    return ["usdface.cli", "tests.faults.forked_command", *steps]
+    commands = ["usdface.cli.app", "usdface.tuning.serve", *steps]
+    context.set_forkserver_preload(["tests.remembered", "tests.faults.forked_command", *commands])
+    return context
 
 
 def run_forked(folder: str, arguments: list[str], killed_at: int | None = None) -> None:

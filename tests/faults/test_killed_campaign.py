@@ -9,7 +9,6 @@ their work. `USDFACE_KILLS` sets how many each gets.
 
 import contextlib
 import json
-import multiprocessing
 import os
 import shlex
 import shutil
@@ -27,7 +26,7 @@ import pytest
 
 from tests.faults.commands import ALL_STEPS, COMMANDS, HERO, MAP, RIG, contents, leftovers
 from tests.faults.conftest import together
-from tests.faults.forked_command import preloaded, run_forked
+from tests.faults.forked_command import forking, run_forked
 from tests.faults.world import World, copy_of, steps_here
 from usdface.core.sidecars import LAYER_SUFFIXES
 
@@ -131,8 +130,7 @@ class Campaign:
 
 def start(campaign_folder: Path, words: str) -> BaseProcess:
     """Start a command as the leader of a group of processes."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(preloaded())
+    context = forking()
     arguments = [*shlex.split(words), "--overwrite"]
     if words.split()[0] not in ("names", "submit"):
         arguments += ["--progress", "none"]

@@ -1,18 +1,15 @@
 """Commands killed around each rename: a few of `poe faults`, where processes are forked."""
 
-import multiprocessing
 import signal
 from pathlib import Path
 
 from tests.faults.commands import COMMON, contents, leftovers
-from tests.faults.forked_command import run_forked
+from tests.faults.forked_command import forking, run_forked
 from tests.steps.small_shot import Shot
 
 
 def ended(folder: Path, words: str, killed_at: int | None) -> int | None:
-
-    context = multiprocessing.get_context("spawn")
-    process = context.Process(
+    process = forking().Process(
         target=run_forked, args=(str(folder), [*words.split(), *COMMON], killed_at)
     )
     process.start()

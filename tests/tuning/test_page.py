@@ -5,7 +5,6 @@ The page's policy forbids `eval`, so conditions are polled rather than waited fo
 
 import io
 import json
-import multiprocessing
 import os
 import signal
 import sys
@@ -25,6 +24,7 @@ import numpy as np
 import pytest
 
 from tests.browser import chromium
+from tests.faults.forked_command import forking
 from tests.remembered import PLACING, remember
 from tests.tuning.small_asset import small_references, write_asset
 from tests.usdio.small_rig import small_rig
@@ -45,8 +45,9 @@ class Command:
 
     def __init__(self, asset: Path, *options: str) -> None:
         words = ["tune", str(asset), "--no-browser", "--json", *options]
-        said, out = FORKS.Pipe(duplex=False)
-        self._process = FORKS.Process(target=run_command, args=(words, self.folder, out))
+        context = forking()
+        said, out = context.Pipe(duplex=False)
+        self._process = context.Process(target=run_command, args=(words, self.folder, out))
         self._process.start()
         out.close()
         self._said = os.fdopen(os.dup(said.fileno()), encoding="utf-8")
@@ -69,10 +70,6 @@ class Command:
         self._process.join(PATIENCE_SECONDS)
         assert self._process.exitcode == 0
         return dict(json.loads(text))
-
-
-FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["tests.remembered", "usdface.cli.app", "usdface.tuning.serve"])
 
 
 def run_command(words: list[str], folder: Path | None, out: Connection) -> None:
