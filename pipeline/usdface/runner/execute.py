@@ -21,7 +21,6 @@ from usdface.runner.state import step_state
 from usdface.specs.base import MovedRigSpec, Spec
 from usdface.specs.job import STEP_SPECS
 from usdface.specs.paths import Writes
-from usdface.usdio.reached import keeping_layers_open
 from usdface.usdio.rig.reference import moved_rig
 
 Step = Callable[..., StepResult]
@@ -67,8 +66,24 @@ def execute(
         outside the folder of ``USDFACE_ROOT``.
     """
     try:
-        with keeping_layers_open():
-            return _execute(spec, overwrite, progress, provenance)
+        check_inputs(spec)
+        if not overwrite and _may_be_done(spec):
+            provenance = provenance or make_provenance(spec)
+            if step_state(spec, provenance).state == "done":
+                summary = f"{spec.step}: up to date; --overwrite runs it again"
+                return StepResult(spec.outputs(), summary, up_to_date=True)
+        with not_written_since(() if overwrite else spec.paths(Writes)):
+            check_outputs(spec, overwrite=overwrite)
+            step = find_step(type(spec))
+            made = provenance or make_provenance(spec)
+            moved = (
+                moved_rig(spec.rig) if isinstance(spec, MovedRigSpec) else contextlib.nullcontext()
+            )
+            with _one_blas_thread(), moved:
+                progress(0.0, "reading")
+                result = step(spec, provenance=made, progress=progress)
+                progress(1.0, "done")
+                return result
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
@@ -76,27 +91,6 @@ def execute(
             f"{error.filename}: the name is too long for this file system, or becomes so with the "
             f"suffixes of files that {spec.step} writes next to it; choose a shorter one"
         ) from error
-
-
-def _execute(
-    spec: Spec, overwrite: bool, progress: Progress, provenance: Provenance | None
-) -> StepResult:
-    check_inputs(spec)
-    if not overwrite and _may_be_done(spec):
-        provenance = provenance or make_provenance(spec)
-        if step_state(spec, provenance).state == "done":
-            summary = f"{spec.step}: up to date; --overwrite runs it again"
-            return StepResult(spec.outputs(), summary, up_to_date=True)
-    with not_written_since(() if overwrite else spec.paths(Writes)):
-        check_outputs(spec, overwrite=overwrite)
-        step = find_step(type(spec))
-        made = provenance or make_provenance(spec)
-        moved = moved_rig(spec.rig) if isinstance(spec, MovedRigSpec) else contextlib.nullcontext()
-        with _one_blas_thread(), moved:
-            progress(0.0, "reading")
-            result = step(spec, provenance=made, progress=progress)
-            progress(1.0, "done")
-            return result
 
 
 def _may_be_done(spec: Spec) -> bool:

@@ -18,7 +18,7 @@ from usdface.core.replacing import replacing_together
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio import SCHEMA_VERSION
 from usdface.usdio.crate import check_crate
-from usdface.usdio.reached import check_composed, check_reached, find_or_open, reload_layer
+from usdface.usdio.reached import check_composed, check_reached
 
 FRAMES_IN_MEMORY = 1 << 15
 
@@ -78,8 +78,9 @@ def open_layer(path: Path) -> Sdf.Layer:
     check_may_open(file)
     check_crate(file)
     with usd_errors_as_input_errors(path, "opening it"):
-        layer = find_or_open(str(path))
+        layer = Sdf.Layer.FindOrOpen(str(path))
         if layer is not None:
+            layer.Reload()
             _check_schema(layer, path)
     if layer is None:
         raise InputError(f"{path}: not a readable USD layer; is it complete, and really USD?")
@@ -120,7 +121,7 @@ def open_stage(path: Path) -> Usd.Stage:
         check_composed(stage)
         for used in stage.GetUsedLayers():
             if not used.anonymous:
-                reload_layer(used)
+                used.Reload()
                 _check_schema(used, Path(used.realPath))
                 _check_rate(used, Path(used.realPath))
         missing = sorted(
@@ -192,7 +193,7 @@ def _reload(path: Path) -> None:
     """Reload a layer that was replaced on disk, if this process has it open."""
     stale = Sdf.Layer.Find(str(path))
     if stale is not None:
-        reload_layer(stale, force=True)
+        stale.Reload(force=True)
 
 
 def save_layer(layer: Sdf.Layer, path: Path) -> None:

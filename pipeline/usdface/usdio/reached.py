@@ -23,43 +23,6 @@ _MOST_REACHED = 20_000
 
 _Variables = dict[str, Any]
 
-_open_layers: dict[Sdf.Layer, bool] = {}
-"""Layers that are kept open, and whether the list of their specs has been checked."""
-_holder_count = 0
-"""Blocks of `keeping_layers_open` that run."""
-
-
-@contextlib.contextmanager
-def keeping_layers_open() -> Iterator[None]:
-    """Keep layers open until the block ends; USD reads a file again once nothing holds its layer.
-
-    A file that changes on disk is read again nevertheless.
-    """
-    global _holder_count
-    _holder_count += 1
-    try:
-        yield
-    finally:
-        _holder_count -= 1
-        if not _holder_count:
-            _open_layers.clear()
-
-
-def reload_layer(layer: Sdf.Layer, *, force: bool = False) -> None:
-    """Read an open layer again if its file changed, or with `force`."""
-    if layer.Reload(force):
-        _open_layers.pop(layer, None)
-
-
-def find_or_open(identifier: str) -> Sdf.Layer | None:
-    """Open a layer as its file is now; it is kept open within `keeping_layers_open`."""
-    layer = Sdf.Layer.FindOrOpen(identifier)
-    if layer is not None:
-        reload_layer(layer)
-        if _holder_count:
-            _open_layers.setdefault(layer, False)
-    return layer
-
 
 def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
     """Check and return all layers of a composition, the given one first, before USD opens them.
@@ -72,10 +35,7 @@ def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
     seen = {(layer.identifier, _key(waiting[0][1]))}
     while waiting:
         above, variables = waiting.pop()
-        if not _open_layers.get(above, False):
-            _check_tree(above)
-            if above in _open_layers:
-                _open_layers[above] = True
+        _check_tree(above)
         _check_assets_confined(above, variables)
         for asset, is_sublayer in _composed_of(above, variables):
             identifier = above.ComputeAbsolutePath(asset)
@@ -86,7 +46,7 @@ def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
                 _check_confined(above, identifier)
                 check_crate(Path(identifier))
                 with contextlib.suppress(Tf.ErrorException):  # raised again by composition
-                    below = find_or_open(identifier)
+                    below = Sdf.Layer.FindOrOpen(identifier)
             if below is None:
                 continue
             reached[identifier] = below
