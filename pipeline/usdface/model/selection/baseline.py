@@ -215,21 +215,11 @@ def set_up_equation(
     return equation_at(rig, deformer, placement.virtual, performer)
 
 
+@cache_last_result
 def equation_at(
     rig: Rig, deformer: Deformer, virtual: VirtualMarkers, performer: PerformerMarkers
 ) -> BlendshapeEquation:
     """Return the equation of markers at known places, `virtual`, on a character."""
-    return _equation_at(rig.shapes, rig.ranges, deformer, virtual, performer)
-
-
-@cache_last_result
-def _equation_at(
-    shapes: tuple[str, ...],
-    ranges: FloatArray,
-    deformer: Deformer,
-    virtual: VirtualMarkers,
-    performer: PerformerMarkers,
-) -> BlendshapeEquation:
     positions, visible, neutral = performer.positions, performer.visible, performer.neutral
     picks = sample_frames(len(positions), MOTION_FRAMES)
     deltas = marker_deltas(virtual, deformer.shapes.target_offsets())
@@ -240,8 +230,7 @@ def _equation_at(
     )
     trust = np.ones(len(neutral))
     trust[list(performer.rigid)] = 0.0
-    ends = range_ends(ranges)
-    full = ends[:, None, None] * deltas
+    full = range_ends(rig.ranges)[:, None, None] * deltas
     errors = certain_errors(
         find_pose_errors(
             virtual, full, neutral, positions[picks], visible=visible[picks], rigid=performer.rigid
@@ -249,7 +238,7 @@ def _equation_at(
     )
     motion = character_motion(virtual, errors.remove(positions[picks], visible[picks]), neutral)
     lids = find_lid_evidence(
-        shapes,
+        rig.shapes,
         deformer.full_offsets(),
         full,
         np.split(motion, np.searchsorted(picks, performer.starts[1:])),
@@ -260,12 +249,12 @@ def _equation_at(
         full,
         motion,
         lids.closing,
-        ranges=np.sort(ranges / ends[:, None], axis=1),
+        ranges=rig.ranges_of_ends,
         visible=visible[picks],
         marker_trust=trust,
     )
     equation = BlendshapeEquation(
-        virtual, deltas, keys, neutral, ranges, trust, gain, lids=lids, pose_errors=errors
+        virtual, deltas, keys, neutral, rig.ranges, trust, gain, lids=lids, pose_errors=errors
     )
     few = picks[:: -(-len(picks) // _NOISE_FRAMES)]
     equation = replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
