@@ -140,7 +140,6 @@ def test_half_of_the_skull_in_half_of_the_frames_does_not_tell_the_rotation():
     found = find_rigid_markers(captured, seen)
     assert not found.is_rigid
     assert np.rad2deg(found.rotation_error) > 2
-    assert found.motion_mm[list(RIGID)].mean() < 0.8 * found.motion_mm[6:].mean()
 
 
 @pytest.mark.parametrize("noise", [0.08, 0.0], ids=["noisy", "exact"])

@@ -67,7 +67,7 @@ def test_a_band_is_rigid_where_it_proves_so(tmp_path: Path, band_motion_mm: floa
     np.testing.assert_array_equal(cleaned.positions, same.positions)
 
 
-def test_a_head_without_rigid_markers_is_followed_by_all(tmp_path: Path) -> None:
+def test_a_head_without_rigid_markers_is_followed_by_the_most_rigid(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     rest = np.stack([rng.uniform(-60, 60, 30), rng.uniform(-70, 60, 30), np.full(30, 40.0)], axis=1)
     rest[:, 2] -= 0.01 * (rest[:, 0] ** 2 + rest[:, 1] ** 2)
@@ -83,10 +83,10 @@ def test_a_head_without_rigid_markers_is_followed_by_all(tmp_path: Path) -> None
     captured = Take(name="skin", rate=Fraction(60), first_frame=1, markers=markers)
     write_take(take, captured, provenance=Provenance())
     notes = execute(CleanSpec(take=take, out=out)).notes
-    assert any("none keep their mutual distances" in note for note in notes)
+    assert any("degrees of error in the head's rotation" in note for note in notes)
     cleaned = read_take(out)
     assert cleaned.markers is not None
     assert cleaned.head_motion is not None
     assert (motion_mm[[names.index(name) for name in cleaned.markers.rigid]] < 6).all()
     found = Rotation.from_matrix(cleaned.head_motion[:, :3, :3]) * turns[0] * turns.inv()
-    assert np.rad2deg(found.magnitude()).mean() < 1.5
+    assert np.rad2deg(found.magnitude()).mean() < 2.5

@@ -1,6 +1,6 @@
 """Find the markers that move with the skull alone: those that keep their mutual distances."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,13 +38,10 @@ class RigidMarkers:
     """Standard deviation of the measurement noise, per coordinate."""
     rotation_error: float = 0.0
     """Expected error of the head's rotation [rad]."""
-    motion_mm: FloatArray = field(default_factory=lambda: np.empty(0))
-    """(markers,): median standard deviation of each marker's distances to others that are seen with
-    it [mm]; infinite if there are none, or it is seen too rarely."""
 
     @property
     def is_rigid(self) -> bool:
-        """Whether the set tells the head's rotation."""
+        """Whether the set tells the head's rotation to 2 degrees."""
         return self.rotation_error <= _CERTAIN_TURN
 
     @property
@@ -114,12 +111,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     chosen = np.sort(order[:count])
     deviation = deviations[np.ix_(chosen, chosen)].sum() / (count * (count - 1))
     indices = tuple(usable[chosen].tolist())
-    motion = np.full(seen.shape[1], np.inf)
-    for row, marker in enumerate(usable):
-        others = np.delete(deviations[row], row)
-        if np.isfinite(others).any():
-            motion[marker] = np.median(others[np.isfinite(others)])
-    return RigidMarkers(indices, float(deviation), noise, error, motion)
+    return RigidMarkers(indices, float(deviation), noise, error)
 
 
 def _candidate_orders(

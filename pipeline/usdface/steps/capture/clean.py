@@ -60,9 +60,6 @@ _REPEATED_SHARE = 0.15
 """Share of the frames that repeat the one before, above which a slower capture was written at this
 rate: a fifth for 24 frames per second at 30, half for 60 at 120."""
 
-_STEADY_SHARE = 1 / 3
-"""Share of the markers, those that move least, that stand for rigid ones where none are rigid."""
-
 _LISTED_RIGID = 24
 """Names listed; further ones, of a dense set, are counted."""
 
@@ -158,8 +155,7 @@ def _head_markers(
 
     In this order: named markers; markers labelled as on a head band, if their mutual distances are
     constant; all markers, weighted by the parts of the face in their labels; a detected set of
-    constant distances, which differs between takes (the forehead in one, cheeks in another); all
-    markers, weighted by how little their distances vary.
+    constant distances, which differs between takes (the forehead in one, cheeks in another).
     """
     named = spec.rigid or markers.rigid
     unknown = [name for name in named if name not in markers.names]
@@ -198,23 +194,17 @@ def _head_markers(
         raise InputError(
             f"{spec.take}: no rigid markers are named and none were detected: {error}, with --rigid"
         ) from error
-    if not found.is_rigid:
-        count = max(round(_STEADY_SHARE * len(markers.names)), FEWEST_RIGID + 1)
-        steadiest = np.argsort(found.motion_mm, kind="stable")[:count]
-        names = tuple(markers.names[index] for index in np.sort(steadiest))
-        degrees = np.rad2deg(found.rotation_error)
-        notes.append(
-            "no rigid markers were named, and none keep their mutual distances: the best would "
-            f"leave {degrees:.1f} degrees of error in the head's rotation. Its pose is estimated "
-            f"from all markers, weighted by how little their distances vary ({first_few(names)} "
-            "have most weight); name markers of the skull with --rigid"
-        )
-        return names, found.motion_mm
     names = tuple(markers.names[index] for index in found.indices)
     notes.append(
         f"no rigid markers were named; {first_few(names, most=_LISTED_RIGID)} were detected "
         f"(their distances vary by {found.deviation_mm:.2f} mm)"
     )
+    if not found.is_rigid:
+        notes.append(
+            f"these markers leave {np.rad2deg(found.rotation_error):.1f} degrees of error in the "
+            "head's rotation, of which mapping removes a part; name markers of the skull with "
+            "--rigid (head band, temples, bridge of the nose), if there are any"
+        )
     notes += _soft_notes(names)
     return names, None
 
