@@ -107,7 +107,7 @@ def marked_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLa
 
 
 def usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatArray]) -> float:
-    """Estimate the size of the character relative to the performer.
+    """Estimate the scale from the performer to the face's frame, which is at an adult's size.
 
     By the height of the eyes over the mouth, if the markers may be in millimetres; else by the
     spread of the markers relative to that of the moving skin.

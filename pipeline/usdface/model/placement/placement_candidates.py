@@ -72,7 +72,7 @@ class PlacementInputs:
     pins: dict[int, FloatArray]
     """(3,) each: the places given by a person, by marker [mm]."""
     usual_scale: float
-    """Expected size of the character over the performer."""
+    """Expected scale from the performer to the face's frame."""
     features: FaceLandmarks
     """The rig's landmarks, for markers without a label."""
     skin_share: float = 1.0

@@ -99,7 +99,7 @@ def search_by_motion(
         Displacements in that space [mm]; the first thirty frames are used.
     ranges : (shapes, 2) float array
     usual_scale : float
-        Character over performer, from which the search starts.
+        From the performer to the face's frame; the search starts from it.
     """
     search = _Search(levelled, skin, motion[:_MOST_FRAMES], ranges, usual_scale, landmarks)
     grid = [
