@@ -130,6 +130,14 @@ def test_a_mapping_without_any_of_its_arrays_is_refused_or_read() -> None:
     assert {"motion_components", "takes_sample", "forward_dual", "forward_scales"} <= refused
 
 
+@pytest.mark.parametrize("takes", ["[", "7", "[{}]"])
+def test_takes_of_pairs_that_cannot_be_read_are_refused(takes: str) -> None:
+    mapping = trained(synthetic_face())
+    damaged = replace(mapping, settings=mapping.settings | {"pair_takes": takes})
+    with pytest.raises(InputError, match="pairs do not fit its takes"):
+        face_of_mapping(damaged)
+
+
 def test_uncertainty_is_low_at_references_and_grows_with_strange_faces() -> None:
     face = synthetic_face()
     mapping = trained(face)

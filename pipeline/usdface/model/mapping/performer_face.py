@@ -39,9 +39,9 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
     """Return the face of a mapping's training; InputError if it lacks arrays, as earlier ones."""
     motion, count = motion_of(mapping), len(mapping.marker_names)
     frames = motion.mean + motion.sample @ motion.components
-    takes = json.loads(str(mapping.settings.get("pair_takes", "[]")))
     pairs = mapping.arrays.get("pair_frames", np.zeros((0, 2))).astype(np.int64)
     try:
+        takes = json.loads(str(mapping.settings.get("pair_takes", "[]")))
         return PerformerFace(
             mapping.marker_names,
             mapping.rigid,
@@ -60,6 +60,10 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
     except KeyError as error:
         raise InputError(
             f"the mapping lacks the array {error}; train it again with this version"
+        ) from error
+    except (ValueError, TypeError, IndexError) as error:
+        raise InputError(
+            f"the mapping's pairs do not fit its takes: {error}; train it again"
         ) from error
 
 
