@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 from tests.model.synthetic import skin_samples
 from tests.numerics.simulated_face import hold_head
@@ -378,6 +380,36 @@ def test_labels_of_one_side_show_no_plane_of_symmetry() -> None:
     places = np.random.default_rng(0).normal(0, 30, (6, 3))
     with pytest.raises(ValueError, match="labels name markers of the left side only"):
         marker_cloud(labels, places, places[None][:0]).levelled()
+
+
+def test_few_markers_of_a_face_that_are_not_opposite_each_other_show_its_symmetry(demo) -> None:
+    _, skin = demo
+    front = skin.positions[skin.activity() > np.quantile(skin.activity(), 0.6)]
+    turn = Rotation.from_euler("yz", [25, 9], degrees=True)
+    errors = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        chosen = [0]
+        while len(chosen) < 35:  # the farthest of some
+            some = rng.choice(len(front), 100, replace=False)
+            chosen.append(int(some[cdist(front[some], front[chosen]).min(axis=1).argmax()]))
+        cloud = turn.apply(front[chosen])
+        labels = tuple(f"m{number}" for number in range(35))
+        frame, _ = marker_cloud(labels, cloud, cloud[None][:0]).levelled()
+        errors.append(np.degrees(np.arccos(min(abs(frame[0] @ turn.apply([1, 0, 0])), 1.0))))
+    assert max(errors) < 6
+
+
+def test_sides_in_labels_tell_the_symmetry_of_markers_of_which_none_are_opposite() -> None:
+    labels = ("brow_L1", "lid_L4", "cheek_L5", "jaw_L8", "brow_R2", "lid_R3", "cheek_R6", "jaw_R7")
+    left = np.array([[30, 60, 40], [40, 30, 35], [55, -10, 30], [45, -60, 25]], float)
+    right = np.array([[-15, 75, 45], [-20, 15, 30], [-40, -30, 40], [-30, -75, 30]], float)
+    places = np.concatenate([left, right])
+    frame, _ = marker_cloud(labels, places, places[None][:0]).levelled()
+    assert np.degrees(np.arccos(frame[0, 0])) < 10
+    unnamed = marker_cloud(tuple("abcdefgh"), places, places[None][:0])
+    with pytest.raises(ValueError, match="no plane of symmetry"):
+        unnamed.levelled()
 
 
 @pytest.mark.parametrize("tracker", ["track", "openface"])

@@ -10,6 +10,7 @@ from usdface.core.text import first_few
 from usdface.model.placement.label_hints import label_hint, mirror_partners, side_of_label
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
 from usdface.numerics.registration.sagittal_plane import (
+    FEWEST_PAIRS,
     SagittalPlane,
     plane_by_reflection,
     plane_of_pairs,
@@ -111,20 +112,35 @@ def _plane(neutral: FloatArray, labels: tuple[str, ...]) -> SagittalPlane:
         for label, partner in mirror_partners(labels).items()
         if side_of_label(label) == "L"
     ]
-    if len(pairs) >= 3:
+    if len(pairs) >= FEWEST_PAIRS:
         return plane_of_pairs(neutral, np.array(pairs), np.array(middle_markers(labels), np.int64))
-    hints = [(label, label_hint(label)) for label in labels]
-    left, right = (
-        [label for label, hint in hints if hint.region and hint.side == side] for side in "LR"
-    )
-    if min(len(left), len(right)) == 0 and max(len(left), len(right)) >= _FEWEST_OF_A_SIDE:
+    left, right = (_rows_by_region(labels, side) for side in "LR")
+    if not (left and right) and sum(map(len, (left | right).values())) >= _FEWEST_OF_A_SIDE:
         # A reflection would pair the markers of one cheek.
-        side = "left" if left else "right"
+        named = [labels[row] for rows in (left or right).values() for row in rows]
         raise ValueError(
-            f"labels name markers of the {side} side only ({first_few(left or right)}), which "
-            "have no plane of symmetry; label the other side's markers, or give landmarks"
+            f"labels name markers of the {'left' if left else 'right'} side only "
+            f"({first_few(named)}), which have no plane of symmetry; label the other side's "
+            "markers, or give landmarks"
         )
-    return plane_by_reflection(neutral)
+    try:
+        return plane_by_reflection(neutral)
+    except ValueError:  # few markers, none opposite another
+        both = sorted(left.keys() & right.keys())
+        if len(both) < FEWEST_PAIRS:
+            raise
+        centres = [neutral[rows[region]].mean(axis=0) for region in both for rows in (left, right)]
+        opposite = np.arange(len(centres)).reshape(-1, 2)
+        return plane_of_pairs(np.array(centres), opposite, np.zeros(0, np.int64))
+
+
+def _rows_by_region(labels: tuple[str, ...], side: str) -> dict[str, list[int]]:
+    """Return the rows of the markers of a side, by the region that their labels name."""
+    rows: dict[str, list[int]] = {}
+    for row, hint in enumerate(map(label_hint, labels)):
+        if hint.region and hint.side == side:
+            rows.setdefault(hint.region, []).append(row)
+    return rows
 
 
 def middle_markers(labels: tuple[str, ...]) -> list[int]:

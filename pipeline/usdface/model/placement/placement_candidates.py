@@ -156,7 +156,8 @@ def best_by_motion(inputs: PlacementInputs) -> PlacementCandidate:
     try:
         frame, levelled = cloud.levelled()
     except ValueError:  # no symmetry, so no search in its plane
-        return _by_shape(inputs)
+        has_labels = len(inputs.landmarks) >= FEWEST_HINTS
+        return candidate_by_labels(inputs) if has_labels else _by_shape(inputs)
     candidates = []
     with suppress(ValueError):  # no alignment ends upright
         candidates.append(_by_shape(inputs))

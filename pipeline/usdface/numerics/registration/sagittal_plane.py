@@ -13,11 +13,12 @@ from scipy.spatial.distance import cdist
 from usdface.core.arrays import FloatArray, IntArray, rms_radius
 
 _UP = np.array([0.0, 1.0, 0.0])
-_FEWEST_PAIRS = 3
+FEWEST_PAIRS = 3
 _YAWS_DEGREES = np.arange(0, 180, 6)
 _ROLLS_DEGREES = (-16, -8, 0, 8, 16)
-_TOLERANCE_SHARE = 0.12
-"""[of the cloud's root mean square radius] Largest distance between a marker and its partner."""
+_TOLERANCE_SHARE = 0.3
+"""[of the cloud's root mean square radius] Largest distance between a marker and its partner: about
+that of neighbours among 35 markers over a face, which need not be opposite each other."""
 
 _MIDDLE_WEIGHT = 0.5
 """Of a marker on the plane, against 1 of a mirrored pair."""
@@ -68,8 +69,8 @@ def plane_of_pairs(
     rounds : int
         Of reweighting.
     """
-    if len(pairs) < _FEWEST_PAIRS:
-        raise ValueError(f"{len(pairs)} mirrored pairs; a plane needs {_FEWEST_PAIRS}")
+    if len(pairs) < FEWEST_PAIRS:
+        raise ValueError(f"{len(pairs)} mirrored pairs; a plane needs {FEWEST_PAIRS}")
     left, right, on_plane = points[pairs[:, 0]], points[pairs[:, 1]], points[middle]
     across = left - right
     centres = np.concatenate([(left + right) / 2, on_plane])
@@ -113,7 +114,7 @@ def plane_by_reflection(points: FloatArray) -> SagittalPlane:
     _, best = min(candidates, key=lambda candidate: candidate[0])
     for _ in range(10):
         pairs = _assigned_pairs(points, best, tolerance)
-        if len(pairs) < _FEWEST_PAIRS:
+        if len(pairs) < FEWEST_PAIRS:
             raise ValueError(
                 "the markers show no plane of symmetry; name sides in their labels (L, R), or give "
                 "landmarks"
@@ -134,7 +135,7 @@ def _nearest_refined(
         paired = np.flatnonzero(away < tolerance)
         pairs = np.stack([paired, np.asarray(near)[paired]], axis=1)
         pairs = _left_first(points, pairs[pairs[:, 0] != pairs[:, 1]], plane)
-        if len(pairs) < _FEWEST_PAIRS + 1:
+        if len(pairs) < FEWEST_PAIRS + 1:
             break
         plane = plane_of_pairs(points, pairs, np.zeros(0, np.int64), rounds=1)
     return cost, plane
