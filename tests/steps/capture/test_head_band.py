@@ -60,7 +60,7 @@ def test_a_band_is_rigid_where_it_proves_so(tmp_path: Path, band_motion_mm: floa
         return
     assert cleaned.rigid == BAND, "brows and cheeks are as still, and are skin"
     (note,) = notes
-    assert "head_1, head_2, head_3, head_4, of a head band by their labels, are used" in note
+    assert "head_1, head_2, head_3, head_4, by their labels not of the face, are used" in note
     execute(CleanSpec(take=take, out=named, rigid=BAND))
     same = read_take(named).markers
     assert same is not None
@@ -90,3 +90,34 @@ def test_a_head_without_rigid_markers_is_followed_by_the_most_rigid(tmp_path: Pa
     assert (motion_mm[[names.index(name) for name in cleaned.markers.rigid]] < 6).all()
     found = Rotation.from_matrix(cleaned.head_motion[:, :3, :3]) * turns[0] * turns.inv()
     assert np.rad2deg(found.magnitude()).mean() < 2.5
+
+
+def test_parts_in_labels_tell_a_jaw_from_the_head(tmp_path: Path) -> None:
+    """The lower face moves as one body, more rigid than the skin of the skull."""
+    rng = np.random.default_rng(2)
+    heights = np.repeat([50, 20, 0, -40, -60], 6)
+    rest = np.stack([np.tile([-55, -35, -15, 15, 35, 55], 5), heights, np.zeros(30)], 1) * 1.0
+    rest[:, 2] = 50 - 0.01 * (rest[:, 0] ** 2 + rest[:, 1] ** 2)
+    names = tuple(
+        f"{part}_{'RL'[number > 2]}{number}"
+        for part in ("brow", "nose", "cheek", "jaw", "chin")
+        for number in range(6)
+    )
+    t = np.arange(FRAMES)[:, None, None] / 60
+    face = rest + 0.6 * np.sin(t * rng.uniform(2, 9, (30, 3)) + rng.uniform(0, 6, (30, 3)))
+    face[:, 18:] = rest[18:] + [0, -6, 0] * (1 - np.cos(3 * t))
+    turns = Rotation.from_rotvec(np.sin(2 * t[:, 0]) * [0.1, 0.3, 0.05])
+    moved = np.einsum("fij,fkj->fki", turns.as_matrix(), face)
+    moved += rng.normal(0, NOISE_MM, moved.shape)
+    seen = np.ones(moved.shape[:2], bool)
+    markers = Markers(names, moved.astype(np.float32), seen, seen.astype(np.float32), (), 1)
+    take, out = tmp_path / "jaw.take.usda", tmp_path / "clean.take.usda"
+    captured = Take(name="jaw", rate=Fraction(60), first_frame=1, markers=markers)
+    write_take(take, captured, provenance=Provenance())
+    execute(CleanSpec(take=take, out=out))
+    cleaned = read_take(out)
+    assert cleaned.markers is not None
+    assert cleaned.head_motion is not None
+    assert not [name for name in cleaned.markers.rigid if name.startswith(("jaw", "chin"))]
+    found = Rotation.from_matrix(cleaned.head_motion[:, :3, :3]) * turns[0] * turns.inv()
+    assert np.rad2deg(found.magnitude()).mean() < 0.7

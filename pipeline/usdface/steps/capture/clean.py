@@ -153,9 +153,10 @@ def _head_markers(
 ) -> tuple[tuple[str, ...], FloatArray | None]:
     """Return the rigid markers and, if all markers are used, the expected motion of each [mm].
 
-    In this order: named markers; markers labelled as on a head band, if their mutual distances are
-    constant; all markers, weighted by the parts of the face in their labels; a detected set of
-    constant distances, which differs between takes (the forehead in one, cheeks in another).
+    In this order: named markers; those of a head band by their labels, or of no part of the face
+    where most labels name one, if their mutual distances are constant; where most labels name parts
+    of the face, all markers, weighted by these; a detected set of constant distances, which differs
+    between takes (the forehead in one, cheeks in another).
     """
     named = spec.rigid or markers.rigid
     unknown = [name for name in named if name not in markers.names]
@@ -167,22 +168,26 @@ def _head_markers(
     if named:
         notes += _soft_notes(named)
         return named, None
-    worn = [index for index, name in enumerate(markers.names) if is_on_headgear(name)]
+    parts = [label_hint(name).region for name in markers.names]
+    labelled = sum(map(bool, parts)) >= _LEAST_HINTED_SHARE * len(parts) > FEWEST_RIGID
+    worn = [
+        index
+        for index, (name, part) in enumerate(zip(markers.names, parts, strict=True))
+        if is_on_headgear(name) or (labelled and not part)
+    ]
     with contextlib.suppress(ValueError):
         found = _find_rigid(take, markers, worn)
         if found.is_rigid and found.residual_motion_mm <= _PROVEN_MOTION_MM:
             names = tuple(markers.names[worn[index]] for index in found.indices)
             notes.append(
-                f"no rigid markers were named; {first_few(names)}, of a head band by their labels, "
-                f"are used (their distances vary by {found.deviation_mm:.2f} mm)"
+                f"no rigid markers were named; {first_few(names)}, by their labels not of the "
+                f"face, are used (their distances vary by {found.deviation_mm:.2f} mm)"
             )
             return names, None
-    motion = skin_motion_mm(markers.names)
-    still = tuple(
-        name for name, mm in zip(markers.names, motion, strict=True) if mm <= _SKULL_MOTION_MM
-    )
-    hinted = sum(bool(label_hint(name).region) for name in markers.names)
-    if len(still) > FEWEST_RIGID and hinted >= _LEAST_HINTED_SHARE * len(markers.names):
+    if labelled:
+        motion = skin_motion_mm(markers.names)
+        largest = max(_SKULL_MOTION_MM, np.sort(motion)[FEWEST_RIGID])
+        still = tuple(np.array(markers.names)[motion <= largest].tolist())
         notes.append(
             "no rigid markers were named; the head's pose is estimated from all markers, weighted "
             f"by the rigidity of their part of the face ({first_few(still)} have most weight)"
