@@ -38,6 +38,10 @@ LONGEST_GAP_SECONDS = 2.0
 _SKULL_MOTION_MM = 1.0
 """Largest motion on the head of markers that count as those of the skull."""
 
+_FIRM_MOTION_MM = 2.5
+"""The same of markers that may be detected as rigid: not of lids, mouth, chin and jaw, which in
+some takes move as one body."""
+
 _PROVEN_MOTION_MM = 0.3
 """Largest residual motion of head-band markers that are used as rigid without being named."""
 
@@ -155,8 +159,9 @@ def _head_markers(
 
     In this order: named markers; those of a head band by their labels, or of no part of the face
     where most labels name one, if their mutual distances are constant; where most labels name parts
-    of the face, all markers, weighted by these; a detected set of constant distances, which differs
-    between takes (the forehead in one, cheeks in another).
+    of the face, all markers, weighted by these, with a detected set of constant distances if no
+    labels name the skull; else this set, which differs between takes (the forehead in one, cheeks
+    in another).
     """
     named = spec.rigid or markers.rigid
     unknown = [name for name in named if name not in markers.names]
@@ -184,50 +189,59 @@ def _head_markers(
                 f"face, are used (their distances vary by {found.deviation_mm:.2f} mm)"
             )
             return names, None
-    if labelled:
-        motion = skin_motion_mm(markers.names)
-        largest = max(_SKULL_MOTION_MM, np.sort(motion)[FEWEST_RIGID])
-        still = tuple(np.array(markers.names)[motion <= largest].tolist())
-        notes.append(
-            "no rigid markers were named; the head's pose is estimated from all markers, weighted "
-            f"by the rigidity of their part of the face ({first_few(still)} have most weight)"
-        )
-        return still, motion
-    try:
-        found = _find_rigid(take, markers)
-    except ValueError as error:
-        raise InputError(
-            f"{spec.take}: no rigid markers are named and none were detected: {error}, with --rigid"
-        ) from error
-    names = tuple(markers.names[index] for index in found.indices)
+    motion = skin_motion_mm(markers.names)
+    still = np.array(markers.names)[motion <= _SKULL_MOTION_MM].tolist() if labelled else []
+    if len(still) <= FEWEST_RIGID:
+        firm = np.flatnonzero(motion <= _FIRM_MOTION_MM).tolist() if labelled else []
+        columns = firm if len(firm) > FEWEST_RIGID else range(len(parts))
+        try:
+            found = _find_rigid(take, markers, columns)
+        except ValueError as error:
+            raise InputError(
+                f"{spec.take}: no rigid markers are named and none were detected: {error}, with "
+                "--rigid"
+            ) from error
+        rows = [columns[index] for index in found.indices]
+        still = [markers.names[row] for row in rows]
+        if not labelled:
+            notes += _detection_notes(found, still)
+            return tuple(still), None
+        motion[rows] = np.minimum(motion[rows], _SKULL_MOTION_MM)
     notes.append(
+        "no rigid markers were named; the head's pose is estimated from all markers, weighted "
+        f"by the rigidity of their part of the face ({first_few(still)} are the most rigid)"
+    )
+    return tuple(still), motion
+
+
+def _detection_notes(found: RigidMarkers, names: Sequence[str]) -> list[str]:
+    notes = [
         f"no rigid markers were named; {first_few(names, most=_LISTED_RIGID)} were detected "
         f"(their distances vary by {found.deviation_mm:.2f} mm)"
-    )
+    ]
     if not found.is_rigid:
         notes.append(
             f"these markers leave {np.rad2deg(found.rotation_error):.1f} degrees of error in the "
             "head's rotation, of which mapping removes a part; name markers of the skull with "
             "--rigid (head band, temples, bridge of the nose), if there are any"
         )
-    notes += _soft_notes(names)
-    return names, None
+    return [*notes, *_soft_notes(names)]
 
 
-def _find_rigid(take: Take, markers: Markers, columns: Sequence[int] | None = None) -> RigidMarkers:
-    """Detect markers of constant mutual distances, among some columns or all."""
+def _find_rigid(take: Take, markers: Markers, columns: Sequence[int]) -> RigidMarkers:
+    """Detect markers of constant mutual distances among some columns."""
     # Frames without any marker are padding.
     recorded = np.flatnonzero(markers.visible.any(axis=1))
     whole = len(recorded) == take.frame_count  # then long takes are not copied
     positions, visible = markers.positions, markers.visible
-    if columns is not None:
+    if len(columns) < len(markers.names):
         positions, visible = positions[:, columns], visible[:, columns]
     return find_rigid_markers(
         positions if whole else positions[recorded], visible if whole else visible[recorded]
     )
 
 
-def _soft_notes(names: tuple[str, ...]) -> list[str]:
+def _soft_notes(names: Sequence[str]) -> list[str]:
     """Return a note on rigid markers whose labels name skin that moves."""
     soft = [name for name in names if label_hint(name).region in _SOFT_REGIONS]
     if not soft:
