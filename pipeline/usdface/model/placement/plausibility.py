@@ -74,6 +74,8 @@ _UPPER = {"forehead", "brow", "lid", "eye", "eye corner"}
 _LOWER = {"mouth", "chin", "jaw"}
 _FEWEST_OF_A_PART = 4
 
+_ONE_FACE = "if they are of several people or a whole body, export those of one face alone"
+
 _UNIT_SLIPS = {
     10.0: ("cm", "centimetres read as millimetres"),
     25.4: ("in", "inches read as millimetres"),
@@ -129,7 +131,11 @@ def judge_markers(
     motion = SkinMotion.of(markers.positions[:, face], usable[:, face], rows, rate or 0.0)
     if fits:
         found += [*_labelled_size(fits), *_labelled_up(fits, axes), *_mirrored(fits)]
-    head = bool(fits) or not (motion.articulated or _is_body(markers.names))
+    body = not fits and _is_body(markers.names)
+    head = bool(fits) or not (motion.articulated or body)
+    if not (head or body):
+        words = "the markers do not move as one head"
+        found.append(PlausibilityFinding("part", False, words, _ONE_FACE))
     if head and not fits:
         found += [*_cloud_size(positions, seen), *_cloud_up(motion, axes)]
     right_size = not any(each.aspect == "size" for each in found)
@@ -225,8 +231,8 @@ def _cloud_size(positions: FloatArray, seen: BoolArray) -> Iterable[Plausibility
     yield PlausibilityFinding(
         "size",
         not low <= extent <= high,
-        f"the markers span {extent:.3g} mm, and those of a head {low:g} to {HEAD_MM:g}",
-        f"{unit_remedy(extent / 200.0)}; if they are a whole body's, keep those of the face",
+        f"the markers span {extent:.0f} mm, and those of a head {low:g} to {HEAD_MM:g}",
+        f"{unit_remedy(extent / 200.0)}; {_ONE_FACE}",
     )
 
 

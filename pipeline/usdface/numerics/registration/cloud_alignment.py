@@ -88,7 +88,7 @@ def align_landmarks(cloud: FloatArray, targets: FloatArray) -> Alignment:
     for points, where in ((yc, "markers"), (xc, "points on the mesh")):
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= 0.02 * spread[0]:
-            raise ValueError(f"the landmarks' {where} lie on a line or coincide; add one off it")
+            raise ValueError(f"the {where} lie on a line or coincide; give --landmarks off it")
     cross = xc.T @ yc
     s, sign = np.linalg.svd(cross, compute_uv=False), float(np.sign(np.linalg.det(cross)))
     proper = s @ np.array([1, 1, sign])

@@ -101,19 +101,19 @@ class PlacementScene:
             found = place_markers(
                 self._cloud, self._skin, rig.shapes, ranges=rig.ranges_of_ends, pinned=pins
             )
-        at = found.virtual
-        binding = bind_at(
-            mesh,
-            places_of_corners(mesh.face_counts, mesh.face_indices, at.points, at.weights),
-            names,
-            neutral=takes.neutral,
-            sample=self._sample,
-            pins=pins,
-            sources={
-                marker: "corrected" if names[marker] in given.corrected else "landmark"
-                for marker in pins
-            },
-        )
+            at = found.virtual
+            binding = bind_at(
+                mesh,
+                places_of_corners(mesh.face_counts, mesh.face_indices, at.points, at.weights),
+                names,
+                neutral=takes.neutral,
+                sample=self._sample,
+                pins=pins,
+                sources={
+                    marker: "corrected" if names[marker] in given.corrected else "landmark"
+                    for marker in pins
+                },
+            )
         placed = self.judge(
             RigPlacement(
                 binding=binding,
