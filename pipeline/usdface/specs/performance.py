@@ -23,8 +23,9 @@ from usdface.specs.paths import (
 class TrainSpec(MovedRigSpec):
     """Train the mapping from marker positions to the weights of a rig.
 
-    `auto` cross-validates face_map, ridge, rbf and d06 on the references and keeps the one with the
-    smallest error. The table of scores is stored in the mapping (`usdface describe`).
+    `auto` cross-validates face_map, ridge, rbf and d06 on the references and keeps face_map, unless
+    another has a significantly smaller error. The table of scores is stored in the mapping
+    (`usdface describe`).
     """
 
     example = "usdface train hero.references.usda --out hero.mapping.usdc"

@@ -71,7 +71,9 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
         "usdface.steps.performance.train.read_keyed_references", lambda path: changed
     )
     notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
-    assert any(note.startswith("1 weight of the pairs outside") for note in notes)
+    assert any(
+        note.startswith("1 weight of the pairs outside the range of jawOpen") for note in notes
+    )
     assert any(note.startswith("left out 1 pair with the markers") for note in notes)
     assert read_mapping(out).settings["limited_weights"] == 1
 

@@ -162,7 +162,7 @@ def train_mapping(
         settings=fitted.settings
         | _region_settings(checked, folds, regions)
         | _key_settings(folds, checked)
-        | {"pair_takes": json.dumps(sorted(set(checked.takes)))}
+        | {"pair_takes": json.dumps(sorted(set(checked.takes)), ensure_ascii=False)}
         | {"limited_weights": check.limited_weights, "pose_error_mm": pose_error_mm}
         | {"unobservable_shapes": int((~compared.observable).sum())},
         scores=compared.scores,

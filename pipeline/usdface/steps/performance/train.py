@@ -231,11 +231,14 @@ def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
 def _correction_notes(mapping: TrainedMapping, references: References) -> list[str]:
     """Return notes on corrected or omitted pairs, and on shapes that markers do not show."""
     notes = list(filter(None, [missing_parts_note(references.parts)]))
-    limited = int(mapping.settings.get("limited_weights", 0))
-    if limited:
+    low, high = mapping.ranges.T
+    limited = (references.weights < low) | (references.weights > high)
+    if limited.any():
+        beyond = [mapping.shape_names[column] for column in np.flatnonzero(limited.any(axis=0))]
         notes.append(
-            f"{pluralize(limited, 'weight')} of the pairs outside the shape's range on the rig, "
-            "clamped to it; tune these pairs again if that is not intended"
+            f"{pluralize(int(limited.sum()), 'weight')} of the pairs outside the range of "
+            f"{first_few(beyond, most=3)}, clamped to it: state the range on the rig "
+            "(`face:range`) if it is larger, or tune these pairs again"
         )
     still = str(mapping.settings.get("still_regions", ""))
     if still:
