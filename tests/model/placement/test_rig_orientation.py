@@ -13,7 +13,11 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.demo.dog import dog_rig
 from usdface.demo.rig import demo_rig
-from usdface.model.placement.rig_orientation import check_rig_upright, facing_degrees
+from usdface.model.placement.rig_orientation import (
+    check_rig_upright,
+    covered_face_notes,
+    facing_degrees,
+)
 from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.rig.read import read_rig
 
@@ -84,6 +88,17 @@ def test_names_match_rigs_whose_sides_differ_with_a_note(rig: Rig) -> None:
         notes = match_rigs(source, target, by="name")[1]
         noted = [each for each in notes if each.startswith("viewers.usda: shapes named left")]
         assert len(noted) == count
+
+
+def test_a_mesh_without_shapes_before_the_face_is_a_doubt(rig: Rig) -> None:
+    skin = max(rig.meshes, key=lambda mesh: len(mesh.shapes))
+    copy = replace(skin, path="/render", points=skin.points + 1.0, shapes=())
+    (note,) = covered_face_notes(replace(rig, meshes=(*rig.meshes, copy)))
+    assert note.startswith("/render has no shapes")
+    beside = replace(copy, points=copy.points + 400.0)
+    for other in (beside, replace(copy, visible=False)):
+        assert covered_face_notes(replace(rig, meshes=(*rig.meshes, other))) == ()
+    assert covered_face_notes(rig) == ()
 
 
 def test_foreign_names_are_not_judged(rig: Rig) -> None:

@@ -128,6 +128,26 @@ def test_a_mask_looks_ahead_whichever_way_its_faces_wind(rig: Rig) -> None:
         assert Deformer(replace(rig, meshes=(mesh,))).face_skin().frame[2, 2] > 0.99
 
 
+def test_lips_parted_at_rest_are_a_mouth(rig: Rig, usual: dict[str, FloatArray]) -> None:
+    share = 0.25
+    parted = tuple(
+        replace(mesh, points=mesh.points + share * mesh_offsets(mesh, "jawOpen"))
+        for mesh in rig.meshes
+    )
+    found = landmarks(replace(rig, meshes=parted))
+    assert "chin" in found
+    for corner in ("mouth_L", "mouth_R"):
+        assert np.linalg.norm(found[corner] - usual[corner]) < _SAMPLING_MM
+
+
+def mesh_offsets(mesh: RigMesh, name: str) -> FloatArray:
+    offsets = np.zeros_like(mesh.points)
+    for shape in mesh.shapes:
+        if shape.name == name:
+            offsets[shape.keys[-1].points] = shape.keys[-1].offsets
+    return offsets
+
+
 def test_the_brow_is_not_on_the_muzzle() -> None:
     found = landmarks(dog_rig())
     assert found["nose_tip"][2] - found["brow_inner_L"][2] > 50

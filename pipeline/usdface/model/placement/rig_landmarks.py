@@ -76,8 +76,9 @@ that rolls in is as small as a lid."""
 _STILL_SHARE = 0.2
 """Share of the jaw's largest displacement below which skin is not of the mouth."""
 
-_SEAM_REACH = 0.12
-"""Largest distance of neighbours over the face's size: both lips have samples within 7 mm."""
+_SEAM_REACH, _PARTED_REACH = 0.12, 0.2
+"""Largest distance of neighbours over the face's size: closed lips have samples within 7 mm, lips
+that are parted at rest within 11."""
 
 _SEAM_STRAIN = 2.0
 """Least relative displacement of neighbours over their distance where lips part; cheeks stretch by
@@ -195,7 +196,7 @@ def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str,
 def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the mouth's middle and corners, on the seam where the jaw parts neighbours."""
     at, size = skin.positions, np.linalg.norm(jaw, axis=1)
-    pairs = KDTree(at).query_pairs(_SEAM_REACH * TYPICAL_SIZE_MM, output_type="ndarray")
+    pairs = KDTree(at).query_pairs(_PARTED_REACH * TYPICAL_SIZE_MM, output_type="ndarray")
     lower, upper = np.where(
         (size[pairs[:, 0]] > size[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1]
     ).T
@@ -207,9 +208,11 @@ def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict
     seam &= at[lower, 1] < at[upper, 1] + _LEAST_DISTANCE_MM
     if "eye_outer_L" in eyes:
         seam &= abs(line[:, 0] - skin.sagittal_x) < abs(eyes["eye_outer_L"][0] - skin.sagittal_x)
-    line = line[seam]
+    closed = seam & (distance <= _SEAM_REACH * TYPICAL_SIZE_MM)
     across = line[:, 0] - skin.sagittal_x
     central = abs(across) < _MIDDLE_MM
+    at_seam = closed if (closed & central).any() else seam
+    line, across, central = line[at_seam], across[at_seam], central[at_seam]
     if not central.any():
         return {}
     middle = np.median(line[central], axis=0)

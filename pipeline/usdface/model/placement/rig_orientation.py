@@ -43,6 +43,10 @@ _FORWARDS = {
 }
 """Sign of the mean displacement, of motions that go the same way on every face."""
 
+_COVERED_SHARE = 0.01
+"""Median distance from a mesh to the points that shapes move, over the extent of their mesh, up to
+which it covers the face: 3 to 5 mm."""
+
 _FEWEST_MOTIONS = 3
 _LEAST_AGREEMENT = 0.75
 """Least length of the mean of unit vectors [0-1]: seven random ones in a plane reach it with a
@@ -76,6 +80,24 @@ def check_rig_upright(rig: Rig) -> tuple[str, ...]:
     return (
         "shapes named left move the right side of the rig, as seen from itself: left and right of "
         "the capture will be exchanged unless its names are the viewer's; rename the rig's shapes",
+    )
+
+
+def covered_face_notes(rig: Rig) -> tuple[str, ...]:
+    """Return notes on visible meshes without shapes that lie on the skin, such as a render mesh."""
+    from scipy.spatial import KDTree  # only when wanted: it takes half a second
+
+    still = [mesh for mesh in rig.meshes if mesh.visible and not mesh.shapes and len(mesh.points)]
+    skin = max(rig.skin_meshes, key=lambda mesh: len(mesh.shapes))
+    if not still or not skin.shapes:
+        return ()
+    reach = _COVERED_SHARE * float(np.linalg.norm(np.ptp(skin.points, axis=0)))
+    moved = skin.points[np.unique(np.concatenate([s.keys[-1].points for s in skin.shapes]))]
+    return tuple(
+        f"{mesh.path} has no shapes and lies on {skin.path}: pictures may show it, at rest, "
+        "instead of the face; hide it in the rig's file, or give it the shapes"
+        for mesh in still
+        if np.median(KDTree(mesh.points).query(moved)[0]) < reach
     )
 
 

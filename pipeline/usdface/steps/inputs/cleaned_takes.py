@@ -13,7 +13,7 @@ from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.model.mapping.take_neutral import TakeNeutral
 from usdface.model.placement.plausibility import check_findings, judge_markers
-from usdface.model.placement.rig_orientation import check_rig_upright
+from usdface.model.placement.rig_orientation import check_rig_upright, covered_face_notes
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import TakeReader, read_take
 
@@ -343,7 +343,8 @@ _WARNING_FRAMES = 64
 
 def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -> list[str]:
     """Return warnings about takes and the rig; refuse takes that cannot be of a human face."""
-    notes = [f"{rig.file.name}: {warning}" for warning in check_rig_upright(rig)]
+    of_rig = (*check_rig_upright(rig), *covered_face_notes(rig))
+    notes = [f"{rig.file.name}: {warning}" for warning in of_rig]
     for index, (path, source) in enumerate(zip(paths, takes.sources, strict=True)):
         warnings = source.warnings
         if warnings is None:
