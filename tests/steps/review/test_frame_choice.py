@@ -44,7 +44,7 @@ def test_the_worst_moment_is_among_the_expressions_of_every_sheet(count: int) ->
     shown["strength"] = np.arange(300)[::-1].astype(float)
     worst = int(np.argmax(shown["signals"].score_mm))
     rows = [frame.row for frame in choose_frames("expression", count, **shown)]
-    assert min(abs(row - worst) for row in rows) < 300 // (3 * count)  # or one beside it
+    assert worst in rows
 
 
 def test_one_bad_moment_is_one_row() -> None:

@@ -1,6 +1,5 @@
 """Errors of weights over a shot's frames, and the choice of frames to review."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +14,7 @@ from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.evaluation import SkinMetric
 from usdface.model.retarget.name_matching import meaning_notes
 from usdface.model.review.moments import (
+    MOMENT_SECONDS,
     Moment,
     ReviewSignals,
     region_distances,
@@ -257,12 +257,17 @@ def choose_frames(
         return sorted(map(_chosen_moment, moments), key=lambda frame: frame.row)
     if pick == "expression":
         worst = min(max(count // WORST_SHARE, 1), count - 1)
-        chosen = _strongest(strength, count - worst, near)
-        found = [ChosenFrame(row) for row in chosen]
         error = np.nan_to_num(signals.score_mm, nan=-1.0)
-        for row in _largest(error, count, near, taken=chosen):
-            reason = _chosen_moment(signals.moment(row)) if error[row] > 0 else ChosenFrame(row)
-            found.append(reason)
+        rows = _largest(error, worst, near)
+        found = [
+            _chosen_moment(signals.moment(row)) if error[row] > 0 else ChosenFrame(row)
+            for row in rows
+        ]
+        left = np.setdiff1d(np.arange(frames), rows)
+        apart = np.abs(left[:, None] - rows).min(axis=1, initial=frames)
+        other = left[apart >= MOMENT_SECONDS * rate]
+        left = other if len(other) >= count - worst else left
+        found += map(ChosenFrame, _strongest(strength, left, count - worst, near))
     else:
         values, words = signals.jump_mm[:, 0], "moved"
         if pick == "uncertainty" and evidence.uncertainty_mm is not None:
@@ -279,27 +284,21 @@ def _chosen_moment(moment: Moment) -> ChosenFrame:
     return ChosenFrame(moment.row, words)
 
 
-def _strongest(strength: FloatArray, count: int, apart: int) -> list[int]:
-    """Return the strongest row of each of `count` equal time intervals."""
+def _strongest(strength: FloatArray, rows: IntArray, count: int, apart: int) -> list[int]:
+    """Return the strongest row of each of `count` equal parts of some rows."""
     chosen: list[int] = []
-    for stretch in np.array_split(np.arange(len(strength)), count):
+    for stretch in np.array_split(rows, count):
         free = [row for row in stretch if all(abs(row - other) >= apart for other in chosen)]
         chosen.append(int(max(free or stretch, key=lambda row: strength[row])))
     return chosen
 
 
-def _largest(values: FloatArray, count: int, apart: int, *, taken: Sequence[int] = ()) -> list[int]:
-    """Return rows by decreasing value until there are `count` with those taken.
-
-    Rows are at least `apart` rows from each other and from those taken, as far as possible.
-    """
-    chosen, blocked = list(taken), np.zeros(len(values), bool)
-    for row in chosen:
-        blocked[max(row - apart + 1, 0) : row + apart] = True
+def _largest(values: FloatArray, count: int, apart: int) -> list[int]:
+    """Return `count` rows by decreasing value, at least `apart` rows apart as far as possible."""
+    chosen, blocked = list[int](), np.zeros(len(values), bool)
     order = np.argsort(-values, kind="stable")
     for row in order.tolist():
         if len(chosen) < count and not blocked[row]:
             chosen.append(row)
             blocked[max(row - apart + 1, 0) : row + apart] = True
-    left = order[~np.isin(order, chosen)].tolist()
-    return [*chosen, *left][len(taken) : count]
+    return [*chosen, *order[~np.isin(order, chosen)].tolist()][:count]
