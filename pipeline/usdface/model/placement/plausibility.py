@@ -231,8 +231,8 @@ def _cloud_size(positions: FloatArray, seen: BoolArray) -> Iterable[Plausibility
     yield PlausibilityFinding(
         "size",
         not low <= extent <= high,
-        f"the markers span {extent:.0f} mm, and those of a head {low:g} to {HEAD_MM:g}",
-        f"{unit_remedy(extent / 200.0)}; {_ONE_FACE}",
+        f"the markers span {extent:.4g} mm, and those of a head {low:g} to {HEAD_MM:g}",
+        unit_remedy(extent / 200.0) + f"; {_ONE_FACE}" * (extent > HEAD_MM),
     )
 
 

@@ -72,7 +72,7 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
         whose = first_few([names[i] for i in np.flatnonzero(missing.any(axis=0))])
         notes.append(
             f"{pluralize(int(missing.sum()), 'sample')} in gaps too long to fill, with confidence "
-            f"0 ({whose}): raise --max-gap to fill them"
+            f"0 ({whose}): weights may jump where they begin and end; raise --max-gap to fill them"
         )
     no_pose = np.flatnonzero(cleaned.pose_confidence < 1.0)
     if len(no_pose):
