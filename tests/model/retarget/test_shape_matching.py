@@ -227,3 +227,20 @@ def test_one_equal_pair_outweighs_two_half_similar_ones(faces, monkeypatch) -> N
     monkeypatch.setattr(Correspondence, "similarity", lambda _: made)
     found = match_deformations(actor, hero, source_shapes=chosen, target_shapes=chosen)
     assert [(each.source, each.target) for each in found] == [(chosen[0], chosen[0])]
+
+
+@pytest.mark.parametrize("similarity", [0.4, 0.6])
+def test_a_side_is_as_easily_matched_with_a_number_as_any_shape(
+    faces, monkeypatch, similarity: float
+) -> None:
+    hero = faces[0]
+    chosen = ("mouthSmileLeft", "mouthSmileRight")
+    numbers = {name: f"shape_{index:03d}" for index, name in enumerate(hero.shapes)}
+    numbered, targets = foreign(hero, numbers), tuple(numbers[name] for name in chosen)
+    rows = [hero.shapes.index(name) for name in chosen]
+    made = np.zeros((len(hero.shapes),) * 2)
+    made[rows, rows] = similarity
+    monkeypatch.setattr(Correspondence, "similarity", lambda _: made)
+    found = match_deformations(hero, numbered, source_shapes=chosen, target_shapes=targets)
+    expected = list(zip(chosen, targets, strict=True)) if similarity > 0.5 else []
+    assert [(each.source, each.target) for each in found] == expected

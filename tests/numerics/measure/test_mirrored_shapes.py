@@ -21,6 +21,11 @@ from usdface.numerics.measure.face_regions import mirrored_shapes, sided_shapes
         ("smileL", "smileR"),
         ("eyeLookInLeft", "eyeLookInRight"),
         ("Left.mouth.left", "Right.mouth.left"),
+        ("smirk_shortLf", "smirk_shortRt"),
+        ("LFT_stretch", "RGT_stretch"),
+        ("parpadeoIzq", "parpadeoDer"),
+        ("Auge_zu_li", "Auge_zu_re"),
+        ("まばたき_左", "まばたき_右"),
     ],
 )
 def test_partners_find_each_other_in_any_order(left: str, right: str) -> None:

@@ -16,15 +16,20 @@ if TYPE_CHECKING:
 
 
 # Sides in names: a word, or a separate letter. Matches are replaced one at a time, so that a name
-# with two of them finds its partner.
-_WORD = re.compile(r"left|right", re.IGNORECASE)
+# with two of them finds its partner; a syllable that is no side leads to no name of the rig.
+_PAIRS = (
+    *(("left", "right"), ("lft", "rgt"), ("lf", "rt"), ("l", "r"), ("左", "右"), ("좌", "우")),
+    *(("izquierda", "derecha"), ("izq", "der"), ("links", "rechts"), ("li", "re")),
+    *(("gauche", "droite"), ("sinistra", "destra"), ("sx", "dx")),
+)
+_OTHER = {one: other for pair in _PAIRS for one, other in (pair, pair[::-1])}
+_WORD = re.compile("|".join(side for side in _OTHER if side not in ("l", "r")), re.IGNORECASE)
 _LETTER = re.compile(
     r"(?<=[_.\-])[lrLR](?=$|[_.\-\d])"  # brow_L, brow_l_01
     r"|^[lrLR](?=[_.\-])"  # L_brow
     r"|^[lr](?=[A-Z])"  # lBrow
     r"|(?<=[a-z0-9])[LR](?=$|[_.\-\d])"  # browL
 )
-_OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
 _ONE_SIDE_SHARE = 0.8
 """[of a shape's squared displacement] Least share on one side of a one-sided shape."""
