@@ -125,12 +125,10 @@ def review_moments(signals: ReviewSignals, count: int, *, rate: float) -> list[M
     count : int
         Maximum number of moments.
     rate : float
-        Frames per second; two moments are at least `MOMENT_SECONDS` apart, and a second if
-        the take has three for each, so that one held expression does not fill the list.
+        Frames per second; two moments are at least `MOMENT_SECONDS` apart.
     """
     score = np.nan_to_num(signals.score_mm, nan=-1.0)
-    held = min(len(score) // (3 * max(count, 1)), round(rate))
-    distance = max(round(MOMENT_SECONDS * rate), held, 1)
+    distance = max(round(MOMENT_SECONDS * rate), 1)
     evidence, rows = signals.evidence, list[int]()
     jumps_alone = evidence.error_mm is None and evidence.uncertainty_mm is None
     order = np.argsort(-score, kind="stable")
