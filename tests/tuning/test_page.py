@@ -31,6 +31,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.core.sidecars import poses_path, tuned_path
 from usdface.media.picture.image import encode_image
+from usdface.tuning.serve import IDLE_SECONDS
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.write import write_rig
 
@@ -692,16 +693,15 @@ def test_another_page_of_the_same_browser_reads_and_changes_nothing(desk: Desk) 
             desk.home,
         )
         evil.evaluate(
-            "home => { const one = document.createElement('iframe'); one.src = home + '/';"
-            " document.body.append(one); }",
+            "home => new Promise((resolve) => { const one = document.createElement('iframe');"
+            " one.onload = resolve; one.src = home + '/'; document.body.append(one); })",
             desk.home,
         )
-        time.sleep(0.5)
         framed = [frame.title() for frame in evil.frames[1:]]
     finally:
         foreign.shutdown()
         foreign.server_close()
     assert won == []
     assert "usdface tune" not in framed
-    time.sleep(1.0)  # longer than the layer takes to follow
+    time.sleep(1.2 * IDLE_SECONDS)  # longer than the layer takes to follow
     assert desk.layer_bytes() == before

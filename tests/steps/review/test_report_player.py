@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.steps.review.test_report import open_page, spec_of, visit
+from tests.steps.review.test_report import FRAME, open_page, spec_of, visit, wait_for
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
@@ -20,8 +20,6 @@ from usdface.specs.references import ReferencesAddSpec
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 
-PLAYER = "document.getElementById('{}').{}"
-FRAME = "Number(document.getElementById('clock').textContent.split(/\\s+/).at(-1))"
 NOTE = {"id": "a1", "frame": 120, "last": 130, "text": "jaw too open", "made": "2026-01-01"}
 
 
@@ -43,12 +41,30 @@ def reported(finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory) -> S
     return shot
 
 
+@pytest.fixture(scope="module")
+def opened(browser: Any, reported: Shot) -> Iterator[tuple[Any, list[str]]]:
+    faults: list[str] = []
+    page = open_page(browser, reported / "shot.html", faults)
+    yield page, faults
+    page.close()
+
+
+@pytest.fixture
+def player(opened: tuple[Any, list[str]]) -> Iterator[Any]:
+    """The page of several tests, at its first frame; they leave all else as they find it."""
+    page, faults = opened
+    page.evaluate("report.show(0)")
+    yield page
+    assert not faults
+
+
 @pytest.fixture
 def page(browser: Any, reported: Shot) -> Iterator[Any]:
+    """A page that the test may change."""
     faults: list[str] = []
-    opened = open_page(browser, reported / "shot.html", faults)
-    yield opened
-    opened.close()
+    own = open_page(browser, reported / "shot.html", faults)
+    yield own
+    own.close()
     assert not faults
 
 
@@ -61,21 +77,13 @@ def at(page: Any) -> int:
     return int(page.evaluate(FRAME))
 
 
-def wait_for(page: Any, condition: str) -> None:
-    for _ in range(400):  # not by the page itself, whose policy allows no evaluation
-        if page.evaluate(condition):
-            return
-        page.wait_for_timeout(25)
-    raise AssertionError(f"never: {condition}")
-
-
-def test_a_range_is_marked_and_looped(page: Any) -> None:
-    page.evaluate("report.show(99)")
-    page.keyboard.press("[")
-    page.evaluate("report.show(104)")
-    page.keyboard.press("]")
-    assert page.inner_text("#range") == "100–105"
-    seen = page.evaluate(
+def test_a_range_is_marked_and_looped(player: Any) -> None:
+    player.evaluate("report.show(99)")
+    player.keyboard.press("[")
+    player.evaluate("report.show(104)")
+    player.keyboard.press("]")
+    assert player.inner_text("#range") == "100–105"
+    seen = player.evaluate(
         """async () => {
           const seen = new Set();
           report.play(true, { speed: 1 });
@@ -89,23 +97,23 @@ def test_a_range_is_marked_and_looped(page: Any) -> None:
     )
     assert set(seen) <= set(range(99, 105))
     assert len(seen) == 3
-    page.keyboard.press("Escape")
-    assert page.inner_text("#range") == ""
+    player.keyboard.press("Escape")
+    assert player.inner_text("#range") == ""
 
 
-def test_the_shuttle_plays_back_rests_and_plays_faster(page: Any) -> None:
-    page.evaluate("report.show(300)")
-    page.keyboard.press("j")
-    wait_for(page, "report.picture < 290")
-    page.keyboard.press("k")
-    assert not page.evaluate("report.playing")
-    page.keyboard.press("l")
-    page.keyboard.press("l")
-    assert page.evaluate("[report.way, report.speed]") == [1, 2]
-    page.keyboard.press("k")
-    page.select_option("#speed", "0.25")
-    page.keyboard.press("Home")
-    seconds = page.evaluate(
+def test_the_shuttle_plays_back_rests_and_plays_faster(player: Any) -> None:
+    player.evaluate("report.show(300)")
+    player.keyboard.press("j")
+    wait_for(player, "report.picture < 290")
+    player.keyboard.press("k")
+    assert not player.evaluate("report.playing")
+    player.keyboard.press("l")
+    player.keyboard.press("l")
+    assert player.evaluate("[report.way, report.speed]") == [1, 2]
+    player.keyboard.press("k")
+    player.select_option("#speed", "0.25")
+    player.keyboard.press("Home")
+    seconds = player.evaluate(
         """async () => {
           const begun = performance.now();
           report.play();
@@ -114,45 +122,48 @@ def test_the_shuttle_plays_back_rests_and_plays_faster(page: Any) -> None:
           return (performance.now() - begun) / 1000;
         }"""
     )
+    player.select_option("#speed", "1")
     assert seconds >= 12 / 120 / 0.25 * 0.95  # pictures of 120 per second, at a quarter
 
 
-def test_play_ends_on_the_last_picture(page: Any) -> None:
-    page.evaluate("report.show(470)")
-    page.keyboard.press(" ")
-    wait_for(page, "!report.playing")
-    assert at(page) == 480
+def test_play_ends_on_the_last_picture(player: Any) -> None:
+    player.evaluate("report.show(470)")
+    player.keyboard.press(" ")
+    wait_for(player, "!report.playing")
+    assert at(player) == 480
 
 
-def test_curves_zoom_in_time_and_the_ruler_follows(page: Any) -> None:
-    page.keyboard.press("End")
-    page.evaluate("report.show(200)")
+def test_curves_zoom_in_time_and_the_ruler_follows(player: Any) -> None:
+    player.keyboard.press("End")
+    player.evaluate("report.show(200)")
     for _ in range(3):
-        page.keyboard.press("+")
-    first, last = page.evaluate("report.plots.window")
+        player.keyboard.press("+")
+    first, last = player.evaluate("report.plots.window")
     assert first < 200 < last
     assert last - first == pytest.approx(479 / 8)
-    ticks = [int(text) for text in page.inner_text("#ruler").split()]
+    ticks = [int(text) for text in player.inner_text("#ruler").split()]
     assert all(first + 1 <= tick <= last + 1 for tick in ticks)
     assert len(ticks) >= 3
     # What lies in the middle of a plot is the picture of the window's middle.
-    box = page.locator("#ruler").bounding_box()
-    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 5)
-    assert at(page) == round((first + last) / 2) + 1
-    page.keyboard.press("End")  # what is shown stays in the window
-    assert page.evaluate("report.plots.window[1]") >= 479 - 1e-6
-    page.keyboard.press("0")
-    assert page.evaluate("report.plots.window") == [0, 479]
+    box = player.locator("#ruler").bounding_box()
+    player.mouse.click(box["x"] + box["width"] / 2, box["y"] + 5)
+    assert at(player) == round((first + last) / 2) + 1
+    player.keyboard.press("End")  # what is shown stays in the window
+    assert player.evaluate("report.plots.window[1]") >= 479 - 1e-6
+    player.keyboard.press("0")
+    assert player.evaluate("report.plots.window") == [0, 479]
 
 
-def test_curves_are_hidden_by_their_legend_and_sorted_by_error(page: Any) -> None:
-    page.wait_for_selector(".curve path.k-keys", state="attached")  # a flat line is not "visible"
-    path = page.locator(".curve path.k-keys").first
-    page.locator("#legend button", has_text="keys").click()
+def test_curves_are_hidden_by_their_legend_and_sorted_by_error(player: Any) -> None:
+    player.wait_for_selector(".curve path.k-keys", state="attached")  # a flat line is not "visible"
+    path = player.locator(".curve path.k-keys").first
+    player.locator("#legend button", has_text="keys").click()
     assert path.evaluate("(each) => getComputedStyle(each).display") == "none"
-    page.select_option("#order", "error")
-    names = page.locator(".curve:visible").evaluate_all("(all) => all.map((e) => e.dataset.shape)")
-    errors = page.evaluate(
+    player.select_option("#order", "error")
+    names = player.locator(".curve:visible").evaluate_all(
+        "(all) => all.map((e) => e.dataset.shape)"
+    )
+    errors = player.evaluate(
         """(names) => names.map((name) => {
           const shape = report.plots.rows.find((row) => row.name === name).shape;
           let sum = 0;
@@ -165,32 +176,34 @@ def test_curves_are_hidden_by_their_legend_and_sorted_by_error(page: Any) -> Non
     )
     assert len(names) > 10
     assert errors == sorted(errors, reverse=True)
-    assert page.inner_text("#numbers") == "numbers: edited"
+    assert player.inner_text("#numbers") == "numbers: edited"
+    player.select_option("#order", "region")
+    player.locator("#legend button", has_text="keys").click()
 
 
-def test_curves_are_one_stop_of_the_tab_key_and_are_read_out(page: Any) -> None:
-    page.locator("#live", has_text="frame").wait_for()  # the page has said where it opened
-    page.locator(".curve[tabindex='0']").focus()
-    first = page.evaluate("document.activeElement.dataset.shape")
-    page.keyboard.press("ArrowDown")
-    second = page.evaluate("document.activeElement.dataset.shape")
+def test_curves_are_one_stop_of_the_tab_key_and_are_read_out(player: Any) -> None:
+    player.locator("#live", has_text="frame").wait_for()  # the page has said where it is
+    player.locator(".curve[tabindex='0']").focus()
+    first = player.evaluate("document.activeElement.dataset.shape")
+    player.keyboard.press("ArrowDown")
+    second = player.evaluate("document.activeElement.dataset.shape")
     assert second != first
-    assert page.locator(".curve[tabindex='0']").count() == 1
-    assert second in page.inner_text("#live")
-    page.keyboard.press("ArrowRight")  # and the player still steps
-    assert at(page) == 2
+    assert player.locator(".curve[tabindex='0']").count() == 1
+    assert second in player.inner_text("#live")
+    player.keyboard.press("ArrowRight")  # and the player still steps
+    assert at(player) == 2
 
 
-def test_the_keys_are_listed(page: Any) -> None:
-    keys = page.locator("#keys")
+def test_the_keys_are_listed(player: Any) -> None:
+    keys = player.locator("#keys")
     assert not keys.is_visible()
-    page.keyboard.press("?")
+    player.keyboard.press("?")
     assert keys.is_visible()
     assert "one frame; first, last" in keys.inner_text()
-    assert page.locator("#help").get_attribute("aria-expanded") == "true"
-    page.locator("#help").click()
+    assert player.locator("#help").get_attribute("aria-expanded") == "true"
+    player.locator("#help").click()
     assert not keys.is_visible()
-    assert page.locator("#help").get_attribute("aria-expanded") == "false"
+    assert player.locator("#help").get_attribute("aria-expanded") == "false"
 
 
 def test_buttons_and_links_of_a_part_are_one_stop_of_the_tab_key(page: Any) -> None:
@@ -253,9 +266,9 @@ PIXELS = """() => {
 }"""
 
 
-def test_markers_lie_where_the_solve_takes_them_within_its_residual(page: Any) -> None:
-    page.locator("#markers").check()
-    away = page.evaluate(
+def test_markers_lie_where_the_solve_takes_them_within_its_residual(player: Any) -> None:
+    player.locator("#markers").check()
+    away = player.evaluate(
         """() => {
           report.show(333);
           const { points, targets } = report.viewer.marks;
@@ -267,6 +280,7 @@ def test_markers_lie_where_the_solve_takes_them_within_its_residual(page: Any) -
           return [Math.sqrt(sum / known), known];
         }"""
     )
+    player.locator("#markers").uncheck()
     assert away[1] > 30
     assert away[0] < 2.0  # the demo's actor is another head: they never meet
 
@@ -410,17 +424,17 @@ def test_notes_of_two_tabs_are_kept_and_what_was_deleted_stays_so(
     assert not faults
 
 
-def test_the_command_that_tunes_a_frame_is_copied(page: Any, reported: Shot) -> None:
+def test_the_command_that_tunes_a_frame_is_copied(player: Any, reported: Shot) -> None:
     pairs = read_references(reported / "hero.references.usda").frames.tolist()
     free = next(frame for frame in range(2, 480) if frame not in pairs)
-    page.evaluate(f"report.show({free - 1})")
+    player.evaluate(f"report.show({free - 1})")
     tune = f"usdface tune hero.references.usda --frame {free}"
-    assert page.input_value("#command").endswith(f"--frames {free} && {tune}")
-    page.evaluate(f"report.show({pairs[3] - 1})")
-    page.locator("#live", has_text=f"frame {pairs[3]}").wait_for()
-    page.click("#copy")
-    wait_for(page, "document.getElementById('live').textContent.startsWith('copied')")
-    assert page.inner_text("#live").endswith(
+    assert player.input_value("#command").endswith(f"--frames {free} && {tune}")
+    player.evaluate(f"report.show({pairs[3] - 1})")
+    player.locator("#live", has_text=f"frame {pairs[3]}").wait_for()
+    player.click("#copy")
+    wait_for(player, "document.getElementById('live').textContent.startsWith('copied')")
+    assert player.inner_text("#live").endswith(
         f"usdface tune hero.references.usda --frame {pairs[3]}"
     )
 
@@ -455,13 +469,12 @@ def test_frames_that_were_noted_become_references(reported: Shot, tmp_path: Path
     assert any(f"pairs already: frames {taken}" in note for note in made.notes)
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_words_can_be_read_in_either_theme(browser: Any, reported: Shot, scheme: str) -> None:
-    context = browser.new_context(color_scheme=scheme)
-    page = visit(context.new_page(), reported / "shot.html", [])
-    ratio = page.evaluate(CONTRAST)
-    context.close()
-    assert min(ratio.values()) >= 4.5, ratio  # WCAG 2.2, 1.4.3
+def test_words_can_be_read_in_either_theme(player: Any) -> None:
+    for scheme in ("light", "dark"):
+        player.emulate_media(color_scheme=scheme)
+        ratio = player.evaluate(CONTRAST)
+        assert min(ratio.values()) >= 4.5, ratio  # WCAG 2.2, 1.4.3
+    player.emulate_media(color_scheme="null")
 
 
 CONTRAST = """() => {
@@ -536,12 +549,12 @@ def test_what_is_no_file_of_notes_is_named_before_any_work(
         execute(spec_of(reported, notes=(file,), out=tmp_path / "x.html"))
 
 
-def test_notes_of_a_newer_format_are_refused(reported: Shot, page: Any, tmp_path: Path) -> None:
+def test_notes_of_a_newer_format_are_refused(reported: Shot, player: Any, tmp_path: Path) -> None:
     file = write_notes(tmp_path / "newer.json", [NOTE], usdface_notes=99)
     message = "has format 99, but this version of usdface reads 1"
     with pytest.raises(InputError, match=message):
         execute(spec_of(reported, notes=(file,), out=tmp_path / "x.html"))
     with pytest.raises(InputError, match=message):
         execute(EditSpec(performance=reported / "shot.hero.usda", notes=file))
-    page.set_input_files("#file", str(file))
-    wait_for(page, "document.getElementById('fault').textContent.includes('has format 99')")
+    player.set_input_files("#file", str(file))
+    wait_for(player, "document.getElementById('fault').textContent.includes('has format 99')")
