@@ -13,12 +13,13 @@ from tests.regenerate import REPOSITORY
 DOCS = REPOSITORY / "docs"
 MENUS = ("README", "reference/commands/README", "changes/README")
 BUILD = f"""
-import sys, furo
+import gc, sys, furo
 from sphinx.builders.html import StandaloneHTMLBuilder
 from sphinx.cmd.build import main
 StandaloneHTMLBuilder.search = False
 menu = furo._compute_navigation_tree
 furo._compute_navigation_tree = lambda page: menu(page) if page["pagename"] in {MENUS} else ""
+gc.disable()  # a third of the time, and the process is a short one
 sys.exit(main(sys.argv[1:]))
 """
 """The menu is the same on all pages, and half of the time that they take: a few have it here. None

@@ -72,6 +72,18 @@ def test_help_does_not_wait_for_usd_or_scipy() -> None:
     assert found.stdout.strip() == "[]"
 
 
+def test_steps_wait_for_figures_and_trackers_until_they_are_needed() -> None:
+    steps = "usdface.steps.capture.track, usdface.steps.references.coverage"
+    script = (
+        f"import sys, usdface.cli.app, usdface.steps.capture.clean, {steps}; "
+        "print(sorted({'cv2', 'matplotlib', 'mediapipe'} & set(sys.modules)))"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert found.stdout.strip() == "[]"
+
+
 def test_pages_travel_in_the_wheel(unpacked_wheel: Path) -> None:
     source = REPOSITORY / "pipeline" / "usdface" / "media" / "web"
     shipped = unpacked_wheel / "usdface" / "media" / "web"

@@ -1,6 +1,5 @@
 """Landmarks' names, which face is followed, how far samples are trusted, models that are none."""
 
-import subprocess
 import sys
 import zipfile
 from pathlib import Path
@@ -199,11 +198,3 @@ def test_without_the_extra_its_name_and_size_are_said(tmp_path: Path, monkeypatc
     monkeypatch.setitem(sys.modules, "mediapipe", None)
     with pytest.raises(InputError, match=r"usdface\[track\] \(340 MB on disk, Apache 2\.0\)"):
         FaceLandmarker(tmp_path / "any.task")
-
-
-def test_nothing_of_the_extra_is_loaded_before_it_is_needed() -> None:
-    code = (
-        "import sys, usdface.cli.app, usdface.steps.capture.track; "
-        "sys.exit(bool({'cv2', 'mediapipe'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -333,10 +333,10 @@ def test_help_is_where_people_look_for_it(capsys) -> None:
         ),
     ],
 )
-def test_a_shell_completes_commands_and_options(shell: str, given: dict[str, str]) -> None:
+def test_a_shell_completes_commands_and_options(shell: str, given: dict[str, str], capsys) -> None:
+    assert run("completion", shell) == 0
+    assert f"_USDFACE_COMPLETE=complete_{shell}" in capsys.readouterr().out
     command = Path(sys.executable).with_name("usdface")
-    script = subprocess.run([command, "completion", shell], capture_output=True, text=True)
-    assert f"_USDFACE_COMPLETE=complete_{shell}" in script.stdout
     words = {name: text.replace("--ta", "--tem") for name, text in given.items()}
     environment = {**os.environ, **words, "_USDFACE_COMPLETE": f"complete_{shell}"}
     done = subprocess.run([command], capture_output=True, text=True, env=environment)

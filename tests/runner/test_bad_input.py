@@ -18,6 +18,7 @@ from tests.c3d_write import write_c3d
 from tests.steps.small_shot import Shot
 from usdface.cli import main
 from usdface.runner.execute import execute
+from usdface.specs.capture import IngestSpec
 from usdface.specs.edits import EditSpec
 from usdface.usdio.take.read import read_take
 
@@ -76,7 +77,7 @@ def no_rigid_markers(shot: Shot) -> list[str]:
     rng = np.random.default_rng(0)
     cloud = rng.normal(0, 30, (200, 6, 3)) + rng.normal(0, 60, (1, 6, 3))
     write_c3d(shot / "jelly.c3d", cloud, np.ones((200, 6), bool), list("abcdef"), rate=60)
-    usdface("ingest", "jelly.c3d", "--out", "jelly.take.usda", folder=shot.folder)
+    execute(IngestSpec(sources=(shot / "jelly.c3d",), out=shot / "jelly.take.usda"))
     return ["clean", "jelly.take.usda", "--out", "new.take.usda"]
 
 
