@@ -64,7 +64,7 @@ def test_committed_reference_pages_are_those_of_the_code() -> None:
         assert (REFERENCE / name).read_text(encoding="utf-8") == text, "run `poe schemas`"
 
 
-@pytest.mark.usefixtures("without_comparison")
+@pytest.mark.usefixtures("without_comparison", "placement_not_drawn", "coverage_not_drawn")
 def test_the_tutorial_runs_from_top_to_bottom(tmp_path: Path, monkeypatch, capsys) -> None:
     make_inputs(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -53,7 +53,7 @@ def test_a_gap_of_any_length_may_be_filled_whatever_the_size_of_blocks(damaged, 
     face, _ = damaged
     neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
     results = []
-    for frames, max_gap in ((64, 400), (2048, 400), (64, 10**6)):
+    for frames, max_gap in ((64, 400), (2048, 10**6)):
         set_blocks(monkeypatch, frames)
         cleaned = clean_markers(
             face.captured, face.visible, rigid=face.rigid, neutral=neutral, max_gap=max_gap
@@ -61,7 +61,6 @@ def test_a_gap_of_any_length_may_be_filled_whatever_the_size_of_blocks(damaged, 
         assert cleaned.visible.all()
         results.append(cleaned.positions)
     np.testing.assert_allclose(results[0], results[1], rtol=0, atol=LAST_PLACE_MM)
-    np.testing.assert_allclose(results[0], results[2], rtol=0, atol=LAST_PLACE_MM)
 
 
 def test_detail_farther_away_than_its_reach_does_not_count():

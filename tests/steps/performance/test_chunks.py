@@ -71,7 +71,7 @@ def in_small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("in_small_blocks")
 def test_joined_parts_equal_the_whole_wherever_they_are_cut(shot: Shot) -> None:
     whole = map_to(shot, "whole.usda")
-    cuts = [1, 2, 65, 100, 229, 480 + 1]
+    cuts = [1, 2, 65, 229, 480 + 1]
     parts = [
         map_to(shot, f"part.{first}.usda", frames=f"{first}-{stop - 1}")
         for first, stop in itertools.pairwise(cuts)
@@ -89,8 +89,8 @@ def test_joined_parts_equal_the_whole_wherever_they_are_cut(shot: Shot) -> None:
 def test_chunks_of_whole_blocks_equal_the_whole_in_all_they_say(shot: Shot) -> None:
     whole = map_to(shot, "whole.usda")
     parts = [
-        map_to(shot, f"part.{first}.usda", frames=f"{first}-{min(first + 127, 480)}")
-        for first in range(1, 481, 128)
+        map_to(shot, f"part.{first}.usda", frames=f"{first}-{min(first + 191, 480)}")
+        for first in range(1, 481, 192)
     ]
     for clips in ("never", "always"):
         run(JoinSpec(parts=tuple(parts), out=shot / "joined.usda", clips=clips))
@@ -114,10 +114,9 @@ def test_the_same_chunks_give_the_same_bytes(shot: Shot) -> None:
 def test_parts_that_do_not_fit_are_all_named(shot: Shot) -> None:
     first = map_to(shot, "a.usda", frames="1-10")
     gap = map_to(shot, "b.usda", frames="21-30")
-    twice = map_to(shot, "c.usda", frames="29-40")
-    moved = map_to(shot, "d.usda", frames="41-45", prim="/shot/hero")
+    moved = map_to(shot, "c.usda", frames="29-40", prim="/shot/hero")
     with pytest.raises(InputError) as fault:
-        run(JoinSpec(parts=(first, gap, twice, moved), out=shot / "joined.usda"))
+        run(JoinSpec(parts=(first, gap, moved), out=shot / "joined.usda"))
     for told in ("frames 11-20 are in no part", "frames 29-30 are in two", "another prim"):
         assert told in str(fault.value)
     assert not (shot / "joined.usda").exists()

@@ -127,8 +127,10 @@ def test_parts_that_leave_frames_out_or_show_them_twice_are_refused(
 
 @pytest.mark.parametrize("size", [24, 31])
 def test_parts_as_a_farm_makes_them_are_joined_whatever_their_size(shot: Shot, size: int) -> None:
-    movie = spec_of(shot, "joined.mp4", rate=24)
-    *chunks, join = in_chunks(movie, SubmitSpec(job=Path("j"), movie_chunk=size), (20, 140))
+    movie, take = spec_of(shot, "joined.mp4", rate=24), shot / "shot.clean.take.usda"
+    submit = SubmitSpec(job=Path("j"), movie_chunk=size)
+    *chunks, join = in_chunks(movie, submit, (20, 140), take=take)
+    assert isinstance(join, MovieJoinSpec)
     for chunk in chunks:
         first, last = map(int, str(chunk.frames).split("-"))
         made = part_of(shot.folder, first, last)
