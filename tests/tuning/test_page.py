@@ -176,6 +176,12 @@ def desk(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Des
     context.close()
 
 
+@pytest.fixture(scope="module")
+def shown(desk: Desk) -> Page:
+    """A page for tests that change no weight, of which each sets the size of the window."""
+    return desk.page()
+
+
 def test_a_tuned_pair_survives_a_reload_and_a_killed_server(asset: Path, context: Any) -> None:
     command = Command(asset)
     page = Page(context, command.link)
@@ -505,8 +511,8 @@ def test_without_markers_nothing_is_offered_that_needs_them(tmp_path: Path, cont
     command.interrupt()
 
 
-def test_a_long_message_is_one_line_beside_the_count_of_pairs(desk: Desk) -> None:
-    page = desk.page().page
+def test_a_long_message_is_one_line_beside_the_count_of_pairs(shown: Page) -> None:
+    page = shown.page
     page.set_viewport_size({"width": 1000, "height": 700})
     page.evaluate("tune.tell('ready')")
     before = [page.locator(each).bounding_box() for each in ("#progress", "#status", "#film")]
@@ -519,8 +525,8 @@ def test_a_long_message_is_one_line_beside_the_count_of_pairs(desk: Desk) -> Non
     assert page.locator("#message").get_attribute("title") == text
 
 
-def test_the_frame_is_named_on_a_small_screen_and_everything_is_on_it(desk: Desk) -> None:
-    page = desk.page().page
+def test_the_frame_is_named_on_a_small_screen_and_everything_is_on_it(shown: Page) -> None:
+    page = shown.page
     for width in (960, 1280):
         page.set_viewport_size({"width": width, "height": 540})
         facts = page.locator("#facts").bounding_box()
@@ -607,8 +613,8 @@ def test_sliders_of_a_part_are_one_stop_of_the_tab_key(tmp_path: Path, context: 
     command.interrupt()
 
 
-def test_sides_move_together_and_change_places(desk: Desk) -> None:
-    found = desk.page().page.evaluate(
+def test_sides_move_together_and_change_places(shown: Page) -> None:
+    found = shown.page.evaluate(
         """() => {
           const sides = { mirror: [1, 0, 3, 2], sided: [true, true, false, false] };
           const limits = { low: [0, 0, 0, 0], high: [1, 1, 1, 1] };
