@@ -7,7 +7,7 @@ from tests.steps.small_shot import Shot
 from tests.test_docs import commands, run
 
 
-@pytest.mark.usefixtures("without_comparison")
+@pytest.mark.usefixtures("without_comparison", "placement_not_drawn", "coverage_not_drawn")
 @pytest.mark.parametrize("page", ["edits", "checks"])
 def test_the_page_runs(page: str, shot: Shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)

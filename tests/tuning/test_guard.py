@@ -2,7 +2,9 @@
 
 import asyncio
 import json
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -63,9 +65,15 @@ class Server:
         return json.dumps({"revision": self.session.revision, "changes": [one]}).encode()
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_asset(tmp_path_factory.mktemp("asset"))
+
+
 @pytest.fixture
-def server(tmp_path) -> Iterator[Server]:
-    session = TuningSession(write_asset(tmp_path))
+def server(tmp_path: Path, written: Path) -> Iterator[Server]:
+    shutil.copytree(written.parent, tmp_path, dirs_exist_ok=True)
+    session = TuningSession(tmp_path / written.name)
     yield Server(session)
     session.lock.release()
 

@@ -313,8 +313,9 @@ def recorded_placement(shared_data, take: str, head: str) -> MarkerPlacement:
     return place_markers(recorded_cloud(shared_data, take), skin, rig.shapes)
 
 
-@pytest.mark.parametrize("take", ["CheeksMoCap", "EyebrowsMoCap"])
-@pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
+@pytest.mark.parametrize(
+    ("head", "take"), [("facecap_head", "CheeksMoCap"), ("ict_face", "EyebrowsMoCap")]
+)
 def test_a_recorded_performer_sits_where_he_does_if_the_jaw_is_a_joint(
     shared_data, head: str, take: str
 ) -> None:

@@ -1,6 +1,7 @@
 """A take learns where its video lies, keeps all else, and is left alone where nobody can tell."""
 
 import json
+import shutil
 import wave
 from dataclasses import replace
 from fractions import Fraction
@@ -69,12 +70,19 @@ def make_take(
     return folder / f"{name}.take.usda"
 
 
+@pytest.fixture(scope="module")
+def recorded(sounds, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recorded")
+    write_wav(folder / "capture.wav", sounds[1])
+    write_video(folder / "kitchen.mov", sounds[0])
+    return make_take(folder)
+
+
 @pytest.fixture
-def take(tmp_path: Path, sounds) -> Path:
+def take(tmp_path: Path, recorded: Path) -> Path:
     """A take whose start is labelled 01:00:00:00, and a video with sound and no timecode."""
-    write_wav(tmp_path / "capture.wav", sounds[1])
-    write_video(tmp_path / "kitchen.mov", sounds[0])
-    return make_take(tmp_path)
+    shutil.copytree(recorded.parent, tmp_path, dirs_exist_ok=True)
+    return tmp_path / recorded.name
 
 
 def without_sync(path: Path) -> str:

@@ -76,18 +76,16 @@ def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> N
 
 def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
     (shot / "b").mkdir()
-    for name in ("shot.hero.usda", "b/shot.hero.usda"):
-        execute(
-            MapSpec(
-                take=shot / "shot.clean.take.usda",
-                mapping=shot / "hero.mapping.usdc",
-                rig=shot / "hero.usdc",
-                out=shot / name,
-                frames="1-120",
-            ),
-            overwrite=True,
-        )
     other = shot / "b/shot.hero.usda"
+    execute(
+        MapSpec(
+            take=shot / "shot.clean.take.usda",
+            mapping=shot / "hero.mapping.usdc",
+            rig=shot / "hero.usdc",
+            out=other,
+            frames="1-120",
+        )
+    )
     execute(EditSpec(performance=other, shape=("jawOpen",), add=0.3))
     report = execute(
         SheetSpec(
@@ -132,7 +130,7 @@ def test_several_threads_draw_the_sheet_that_one_draws(shot: Shot, monkeypatch) 
     def draw(cores: int) -> bytes:
         monkeypatch.setattr("usdface.steps.review.sheet.usable_cores", lambda: cores)
         out = shot / f"{cores}.png"
-        given = {"performance": shot / "shot.hero.usda", "rows": 5, "tile": 64, "quality": "draft"}
+        given = {"performance": shot / "shot.hero.usda", "rows": 3, "tile": 64, "quality": "draft"}
         execute(SheetSpec(**given, out=out))
         return read_picture(out).tobytes()
 
