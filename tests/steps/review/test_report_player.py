@@ -37,7 +37,7 @@ def reported(finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory) -> S
         EditSpec(performance=shot / "shot.hero.usda", shape=("jawOpen",), add=0.3, frames="90-110")
     )
     write_notes(shot / "shot.hero.notes.json", [NOTE | {"version": "of another"}])
-    execute(spec_of(shot, against=shot / "keys.csv", also=(shot / "shot.first.usda",), worst=4))
+    execute(spec_of(shot, against=shot / "keys.csv", also=(shot / "shot.first.usda",), worst=2))
     return shot
 
 
