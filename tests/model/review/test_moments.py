@@ -71,10 +71,11 @@ def test_each_cause_is_found_and_named() -> None:
     assert (moments[500].region, moments[500].reason[:16]) == ("mouth", "lips 2.5 mm open")
 
 
-def test_less_coverage_ranks_higher_at_the_same_uncertainty() -> None:
+def test_coverage_is_part_of_the_uncertainty_and_does_not_rank_twice() -> None:
     found = signals()
-    found.evidence.uncertainty_mm[:] = 0.2
-    assert np.array_equal(np.argsort(-found.score_mm), np.argsort(found.evidence.coverage[:, 0]))
+    before = found.score_mm
+    found.evidence.coverage[::2] = 0.01
+    np.testing.assert_array_equal(found.score_mm, before)
 
 
 def test_a_steady_motion_does_not_jump_and_distances_are_those_of_the_gram() -> None:

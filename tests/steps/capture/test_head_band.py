@@ -60,7 +60,7 @@ def test_a_band_is_rigid_where_it_proves_so(tmp_path: Path, band_motion_mm: floa
         return
     assert cleaned.rigid == BAND, "brows and cheeks are as still, and are skin"
     (note,) = notes
-    assert "head_1, head_2, head_3, head_4, by their labels not of the face, are used" in note
+    assert "head_1, head_2, head_3, head_4, of a head band by their labels, are used" in note
     execute(CleanSpec(take=take, out=named, rigid=BAND))
     same = read_take(named).markers
     assert same is not None

@@ -3,9 +3,8 @@
 With keys, frames are ranked by the error against them. Otherwise the score is an expected error,
 root mean square over the surface [mm]::
 
-    score^2 = (uncertainty / coverage)^2 + jump^2 + lips (gap / 2)^2
+    score^2 = uncertainty^2 + jump^2 + lips (gap / 2)^2
 
-coverage: share of the motion that the references span; uncertainty refers to that share.
 jump: distance of the surface from the mean of the frames before and after.
 gap: opening of lips that are closed in the capture; each lip is off by half of it.
 lips: share of the rig's points that are on the lips.
@@ -24,9 +23,6 @@ MOMENT_SECONDS = 0.25
 
 LEAST_JUMP_MM = 0.05
 """Smallest visible jump; without uncertainty, only the largest jump below it is listed."""
-
-_LEAST_COVERAGE = 0.1
-"""Lower limit of coverage in the score."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +62,9 @@ class ReviewSignals:
 
     @property
     def expected_mm(self) -> FloatArray:
-        """Return uncertainty / coverage: (frames, regions) [mm]."""
-        evidence = self.evidence
-        if evidence.uncertainty_mm is None:
-            return np.zeros_like(self.jump_mm)
-        if evidence.coverage is None:
-            return evidence.uncertainty_mm
-        return evidence.uncertainty_mm / np.maximum(evidence.coverage, _LEAST_COVERAGE)
+        """Return the uncertainty, 0 if it is not known: (frames, regions) [mm]."""
+        uncertainty_mm = self.evidence.uncertainty_mm
+        return np.zeros_like(self.jump_mm) if uncertainty_mm is None else uncertainty_mm
 
     def moment(self, row: int) -> Moment:
         """Return the moment at a row, with its region and reason: figures are the region's."""

@@ -38,15 +38,14 @@ LONGEST_GAP_SECONDS = 2.0
 _SKULL_MOTION_MM = 1.0
 """Largest motion on the head of markers that count as those of the skull."""
 
-_FIRM_MOTION_MM = 2.5
-"""The same of markers that may be detected as rigid: not of lids, mouth, chin and jaw, which in
-some takes move as one body."""
-
 _PROVEN_MOTION_MM = 0.3
 """Largest residual motion of head-band markers that are used as rigid without being named."""
 
 _LEAST_HINTED_SHARE = 0.6
 """Share of the markers whose labels must name a part of the face for labels to be used."""
+
+_NEVER_RIGID = ("lid", "mouth", "chin", "jaw")
+"""Regions whose markers are not detected as rigid: in some takes they move as one body."""
 
 _SOFT_REGIONS = ("lid", "brow", "cheek", "mouth", "chin", "jaw")
 
@@ -157,11 +156,10 @@ def _head_markers(
 ) -> tuple[tuple[str, ...], FloatArray | None]:
     """Return the rigid markers and, if all markers are used, the expected motion of each [mm].
 
-    In this order: named markers; those of a head band by their labels, or of no part of the face
-    where most labels name one, if their mutual distances are constant; where most labels name parts
-    of the face, all markers, weighted by these, with a detected set of constant distances if no
-    labels name the skull; else this set, which differs between takes (the forehead in one, cheeks
-    in another).
+    In this order: named markers; markers labelled as on a head band, if their mutual distances are
+    constant; all markers, weighted by the parts of the face in their labels; a detected set of
+    constant distances, none labelled as on jaw, mouth or lids, which differs between takes (the
+    forehead in one, cheeks in another).
     """
     named = spec.rigid or markers.rigid
     unknown = [name for name in named if name not in markers.names]
@@ -173,59 +171,51 @@ def _head_markers(
     if named:
         notes += _soft_notes(named)
         return named, None
-    parts = [label_hint(name).region for name in markers.names]
-    labelled = sum(map(bool, parts)) >= _LEAST_HINTED_SHARE * len(parts) > FEWEST_RIGID
-    worn = [
-        index
-        for index, (name, part) in enumerate(zip(markers.names, parts, strict=True))
-        if is_on_headgear(name) or (labelled and not part)
-    ]
+    worn = [index for index, name in enumerate(markers.names) if is_on_headgear(name)]
     with contextlib.suppress(ValueError):
         found = _find_rigid(take, markers, worn)
         if found.is_rigid and found.residual_motion_mm <= _PROVEN_MOTION_MM:
             names = tuple(markers.names[worn[index]] for index in found.indices)
             notes.append(
-                f"no rigid markers were named; {first_few(names)}, by their labels not of the "
-                f"face, are used (their distances vary by {found.deviation_mm:.2f} mm)"
+                f"no rigid markers were named; {first_few(names)}, of a head band by their labels, "
+                f"are used (their distances vary by {found.deviation_mm:.2f} mm)"
             )
             return names, None
     motion = skin_motion_mm(markers.names)
-    still = np.array(markers.names)[motion <= _SKULL_MOTION_MM].tolist() if labelled else []
-    if len(still) <= FEWEST_RIGID:
-        firm = np.flatnonzero(motion <= _FIRM_MOTION_MM).tolist() if labelled else []
-        columns = firm if len(firm) > FEWEST_RIGID else range(len(parts))
-        try:
-            found = _find_rigid(take, markers, columns)
-        except ValueError as error:
-            raise InputError(
-                f"{spec.take}: no rigid markers are named and none were detected: {error}, with "
-                "--rigid"
-            ) from error
-        rows = [columns[index] for index in found.indices]
-        still = [markers.names[row] for row in rows]
-        if not labelled:
-            notes += _detection_notes(found, still)
-            return tuple(still), None
-        motion[rows] = np.minimum(motion[rows], _SKULL_MOTION_MM)
-    notes.append(
-        "no rigid markers were named; the head's pose is estimated from all markers, weighted "
-        f"by the rigidity of their part of the face ({first_few(still)} are the most rigid)"
+    still = tuple(
+        name for name, mm in zip(markers.names, motion, strict=True) if mm <= _SKULL_MOTION_MM
     )
-    return tuple(still), motion
-
-
-def _detection_notes(found: RigidMarkers, names: Sequence[str]) -> list[str]:
-    notes = [
+    hinted = sum(bool(label_hint(name).region) for name in markers.names)
+    if len(still) > FEWEST_RIGID and hinted >= _LEAST_HINTED_SHARE * len(markers.names):
+        notes.append(
+            "no rigid markers were named; the head's pose is estimated from all markers, weighted "
+            f"by the rigidity of their part of the face ({first_few(still)} have most weight)"
+        )
+        return still, motion
+    firm = [
+        i for i, name in enumerate(markers.names) if label_hint(name).region not in _NEVER_RIGID
+    ]
+    if len(firm) <= FEWEST_RIGID:
+        firm = list(range(len(markers.names)))
+    try:
+        found = _find_rigid(take, markers, firm)
+    except ValueError as error:
+        raise InputError(
+            f"{spec.take}: no rigid markers are named and none were detected: {error}, with --rigid"
+        ) from error
+    names = tuple(markers.names[firm[index]] for index in found.indices)
+    notes.append(
         f"no rigid markers were named; {first_few(names, most=_LISTED_RIGID)} were detected "
         f"(their distances vary by {found.deviation_mm:.2f} mm)"
-    ]
+    )
     if not found.is_rigid:
         notes.append(
             f"these markers leave {np.rad2deg(found.rotation_error):.1f} degrees of error in the "
             "head's rotation, of which mapping removes a part; name markers of the skull with "
             "--rigid (head band, temples, bridge of the nose), if there are any"
         )
-    return [*notes, *_soft_notes(names)]
+    notes += _soft_notes(names)
+    return names, None
 
 
 def _find_rigid(take: Take, markers: Markers, columns: Sequence[int]) -> RigidMarkers:
@@ -241,7 +231,7 @@ def _find_rigid(take: Take, markers: Markers, columns: Sequence[int]) -> RigidMa
     )
 
 
-def _soft_notes(names: Sequence[str]) -> list[str]:
+def _soft_notes(names: tuple[str, ...]) -> list[str]:
     """Return a note on rigid markers whose labels name skin that moves."""
     soft = [name for name in names if label_hint(name).region in _SOFT_REGIONS]
     if not soft:
