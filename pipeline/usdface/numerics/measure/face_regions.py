@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 # Sides in names: a word, or a separate letter. Matches are replaced one at a time, so that a name
 # with two of them finds its partner; a syllable that is no side leads to no name of the rig.
-_PAIRS = (
-    *(("left", "right"), ("lft", "rgt"), ("lf", "rt"), ("l", "r"), ("左", "右"), ("좌", "우")),
-    *(("izquierda", "derecha"), ("izq", "der"), ("links", "rechts"), ("li", "re")),
-    *(("gauche", "droite"), ("sinistra", "destra"), ("sx", "dx")),
+_SIDES = (
+    "left right, lft rgt, lf rt, l r, izquierda derecha, izq der, links rechts, li re, "
+    "gauche droite, sinistra destra, sx dx, 左 右, 좌 우"
 )
+_PAIRS = [pair.split() for pair in _SIDES.split(", ")]
 _OTHER = {one: other for pair in _PAIRS for one, other in (pair, pair[::-1])}
 _WORD = re.compile("|".join(side for side in _OTHER if side not in ("l", "r")), re.IGNORECASE)
 _LETTER = re.compile(
