@@ -180,6 +180,15 @@ def test_few_labels_do_not_say_where_the_other_markers_lie() -> None:
     assert f"unless {len(lids) - sum(lids)} without such a label cover it" in finding.message
 
 
+def test_outliers_are_not_speed() -> None:
+    markers = synthetic()
+    rng = np.random.default_rng(1)
+    positions = markers.positions.copy()
+    spikes = rng.random(positions.shape[:2]) < 0.015
+    positions[spikes] += rng.normal(0, 15, (spikes.sum(), 3)).astype(np.float32)
+    assert "rate" not in aspects(replace(markers, positions=positions))
+
+
 def test_speed_is_judged_over_the_skull_and_by_the_rate() -> None:
     markers = synthetic()
     assert aspects(markers, RATE * 12)["rate"]

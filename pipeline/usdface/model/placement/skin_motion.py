@@ -22,7 +22,7 @@ _MAIN_RATIO = 1.5
 _ARTICULATED_SHARE = 0.12
 """Non-rigid motion over the cloud's radius, RMS, above which the markers are not one head: a face
 that opens its jaw has at most 0.07, a walking body at least 0.25."""
-_SPEED_FRAMES = 1000
+_SPEED_FRAMES = 500
 _SPEED_SECONDS = 1 / 60
 """Time over which a speed is measured: noise of 0.2 mm is then 17 mm/s, and a lid takes 0.1 s."""
 
@@ -32,7 +32,8 @@ class SkinMotion:
     """Motion relative to the skull, at evenly spaced frames of a take."""
 
     speeds: FloatArray
-    """(n,): of all markers and frames [mm/s]."""
+    """(n,): of all markers and frames, over one lag or, if it is less, the displacement over three:
+    an outlier, which returns at once, has none [mm/s]."""
     rotations: FloatArray
     """(frames, 3, 3): of the head, from the pose of the reference frame."""
     depth: FloatArray
@@ -47,21 +48,23 @@ class SkinMotion:
         cls, positions: Float32Array, usable: BoolArray, rows: IntArray, rate: float
     ) -> "SkinMotion":
         """Measure the motion, relative to a robust rigid alignment."""
-        lag = max(1, round(rate * _SPEED_SECONDS))
-        starts = np.intersect1d(rows, rows - lag)
+        steps = max(1, round(rate * _SPEED_SECONDS)) * np.arange(-1, 3)
+        starts = rows[np.isin(rows[:, None] + steps, rows).all(axis=1)]
         if not len(starts):
-            starts, lag = rows, 0
+            starts, steps = rows, np.zeros(4, np.int64)
         starts = starts[sample_frames(len(starts), _SPEED_FRAMES)]
-        both = np.concatenate([starts, starts + lag])
-        sample, seen = positions[both].astype(np.float64), usable[both]
+        picked = (starts + steps[:, None]).ravel()
+        sample, seen = positions[picked].astype(np.float64), usable[picked]
         reference = sample[int(seen.sum(axis=1).argmax())]
         alignment = align_rigid_robust(sample, reference, visible=seen)
         seen &= alignment.determined[:, None]
         known = seen.any(axis=0)
         still, seen = np.asarray(remove_motion(sample, alignment))[:, known], seen[:, known]
-        count = len(starts)
-        step = np.linalg.norm(still[count:] - still[:count], axis=2)
-        speeds = step[seen[count:] & seen[:count]] * (rate / lag if lag else 0.0)
+        lag = int(steps[2])
+        four = still.reshape(len(steps), len(starts), -1, 3)
+        step, span = (np.linalg.norm(four[b] - four[a], axis=2) for a, b in ((1, 2), (0, 3)))
+        all_seen = seen.reshape(four.shape[:3]).all(axis=0)
+        speeds = np.minimum(step, span)[all_seen] * (rate / lag if lag else 0.0)
         middle = np.nanmedian(np.where(seen[..., None], still, np.nan), axis=0)
         away = (still - middle)[seen]
         return cls(
