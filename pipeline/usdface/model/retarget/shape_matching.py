@@ -224,8 +224,9 @@ def _assign_one_sides(
     scores = np.where(
         mirrored_pair[0][:, None] != mirrored_pair[1], likeness[np.ix_(rows, columns)], -1.0
     )
+    # Where the names of one rig tell no sides, as numbers, each of its shapes may be of one side.
     sided = all(any(each) for each in mirrored_pair)
-    least = _ONE_SIDE_SIMILARITY if sided else _LEAST_SIMILARITY  # of a rig of numbers, any may be
+    least = _ONE_SIDE_SIMILARITY if sided else _LEAST_SIMILARITY
     return [
         (rows[i], columns[j], 1.0)
         for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-scores)), strict=True)

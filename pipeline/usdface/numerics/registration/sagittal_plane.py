@@ -14,6 +14,7 @@ from usdface.core.arrays import FloatArray, IntArray, rms_radius
 
 _UP = np.array([0.0, 1.0, 0.0])
 FEWEST_PAIRS = 3
+"""Fewest mirrored pairs that determine a plane."""
 _YAWS_DEGREES = np.arange(0, 180, 6)
 _ROLLS_DEGREES = (-16, -8, 0, 8, 16)
 _TOLERANCE_SHARE = 0.3
