@@ -44,6 +44,16 @@ def test_a_face_without_swaps_has_none():
     assert find_swaps(filled, face.visible, model=model, noise=0.15, neutral=0) == ()
 
 
+def test_a_swap_to_the_end_of_a_short_take_is_found_by_its_only_jump():
+    face = simulate_face(frames=300, markers=20, seed=1)
+    distances = np.linalg.norm(face.truth[0] - face.truth[0, 4], axis=1)
+    swap = Swap(*sorted((4, int(distances.argsort()[1]))), 225, 300)
+    positions = face.truth + 0.1 * np.random.default_rng(0).standard_normal(face.truth.shape)
+    apply_swaps(positions, (swap,))
+    model = fit_low_rank(positions, face.visible)
+    assert find_swaps(positions, face.visible, model=model, noise=0.1, neutral=0) == (swap,)
+
+
 def test_a_marker_is_predicted_from_the_others_as_linear_regression_does():
     rng = np.random.default_rng(0)
     drive = gaussian_filter1d(rng.standard_normal((3000, 4)), 10, axis=0)

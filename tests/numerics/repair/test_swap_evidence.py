@@ -53,7 +53,7 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
     window = open_window(complete, seen, model)
     pairs = neighbor_pairs(complete, seen, model, 0.15)
     found = suspicious_pairs(pairs, window, step_scale=STEP_SCALE)
-    counted = []
+    hinted = []
     for pair in pairs:
         a, b = pair.first, pair.second
         x, y = complete[:, a], complete[:, b]
@@ -65,8 +65,8 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
         x_jump = square(x[1:] - y[:-1]) - square(np.diff(x, axis=0))
         y_jump = square(y[1:] - x[:-1]) - square(np.diff(y, axis=0))
         jump = np.maximum(x_jump, y_jump) / STEP_SCALE**2
-        counted.append((place > 4).sum() + (jump < -20).sum())
-    np.testing.assert_array_equal(found, counted)
+        hinted.append((place > 4).any() or (jump < -20).any())
+    np.testing.assert_array_equal(found, hinted)
     assert 0 < np.count_nonzero(found) < len(pairs) / 2
 
 

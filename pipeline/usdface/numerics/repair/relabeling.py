@@ -37,7 +37,6 @@ from usdface.numerics.repair.swap_evidence import (
 _JUMP_MEDIAN_STEPS = 6.0
 """[of the median step] Larger steps between frames are jumps."""
 _STEP_SAMPLE_FRAMES = 8192
-_HINTS_NEEDED = 2
 _LONGEST_SWAP_SHARE = 0.5
 """[of the take] Longer swaps are taken for the true labels."""
 _LEAST_GAIN = 20.0
@@ -83,13 +82,15 @@ def find_swaps(
     step_scale = _jump_scale(positions, visible, noise)
     pairs = neighbor_pairs(positions, visible, model, noise)
 
-    def hints_in(block: slice) -> IntArray:
+    def hints_in(block: slice) -> BoolArray:
         before = slice(max(block.start - 1, 0), block.stop)
         window = open_window(positions[before], visible[before], model)
         return suspicious_pairs(pairs, window, step_scale=step_scale)
 
-    hints = np.sum(map_threads(hints_in, frame_blocks(len(positions))), axis=0)
-    suspects = [pair for pair, count in zip(pairs, hints, strict=True) if count >= _HINTS_NEEDED]
+    # One frame suffices: of a swap to the end of a take, which the model may have fitted, only the
+    # first jump hints.
+    hints = np.any(map_threads(hints_in, frame_blocks(len(positions))), axis=0)
+    suspects = [pair for pair, is_suspect in zip(pairs, hints, strict=True) if is_suspect]
 
     def swaps_of(pairs: list[Pair]) -> list[list[tuple[float, Swap]]]:
         weighed = _gather_evidence(pairs, positions, visible, model, step_scale)

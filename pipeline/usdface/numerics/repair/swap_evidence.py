@@ -101,8 +101,8 @@ def _direction(positions: RealArray, first: int, second: int) -> Float32Array:
     return np.asarray(between / max(float(between @ between), 1e-12), np.float32)
 
 
-def suspicious_pairs(pairs: list[Pair], window: Window, *, step_scale: float) -> IntArray:
-    """Return the number of frames that hint at a swap of each pair.
+def suspicious_pairs(pairs: list[Pair], window: Window, *, step_scale: float) -> BoolArray:
+    """Return whether any frame hints at a swap of each pair.
 
     Most pairs are excluded by bounds over blocks of frames: in a swap a residual is at least half
     of the distance of the two markers, and a jump needs a large step.
@@ -124,14 +124,14 @@ def suspicious_pairs(pairs: list[Pair], window: Window, *, step_scale: float) ->
     between = _length(middle[second] - middle[first]) - radius[first] - radius[second]
     displaced = (2.0 * away >= between).any(axis=1)
     jumped = np.maximum(steps[first], steps[second]) > -_JUMP_HINT * step_scale**2
-    hints = np.zeros(len(pairs), np.int64)
+    hints = np.zeros(len(pairs), np.bool_)
     for index in np.flatnonzero(displaced | jumped).tolist():
         pair = pairs[index]
         views = _views(pair, window)
         if displaced[index]:
-            hints[index] += np.count_nonzero(_position_evidence(pair, views) > _POSITION_HINT)
-        if jumped[index]:
-            hints[index] += np.count_nonzero(_jump_evidence(views, step_scale) < _JUMP_HINT)
+            hints[index] = (_position_evidence(pair, views) > _POSITION_HINT).any()
+        if jumped[index] and not hints[index]:
+            hints[index] = (_jump_evidence(views, step_scale) < _JUMP_HINT).any()
     return hints
 
 
