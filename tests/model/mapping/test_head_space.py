@@ -98,6 +98,37 @@ def test_one_slipped_rigid_marker_does_not_turn_the_head() -> None:
     np.testing.assert_allclose(mapped.positions[:, rest], face.positions[:, rest], atol=0.5)
 
 
+@pytest.mark.parametrize("loose", [False, True])
+def test_frames_stabilised_by_other_markers_are_aligned_by_the_mappings(loose: bool) -> None:
+    face, rng = synthetic_face(), np.random.default_rng(0)
+    turns = np.cumsum(rng.normal(0, 0.004, (1200, 3)), axis=0)  # as if those had followed the skin
+    moved = np.einsum("fij,fmj->fmi", Rotation.from_rotvec(turns).as_matrix(), face.positions)
+    if loose:
+        moved[:, 2] += np.cumsum(rng.normal(0, 1, (1200, 3)), axis=0)
+    visible = np.ones((1200, len(face.names)), dtype=bool)
+    visible[600:610, : RIGID - 2] = False
+    markers = markers_of(
+        face,
+        positions=moved.astype(np.float32),
+        visible=visible,
+        confidence=visible.astype(np.float32),
+        rigid=face.names[-6:],
+    )
+    space = find_head_space(face_of_mapping(trained()), markers, rate=60.0)
+    placed = space.place(markers)
+    away = (placed.positions - face.positions)[:, RIGID:]
+    away -= np.median(away, axis=0)
+    aligned = np.delete(np.arange(1200), np.arange(600, 610))
+    assert np.abs(away[aligned]).max() < 0.1
+    part = replace(
+        markers,
+        positions=markers.positions[300:400],
+        visible=visible[300:400],
+        confidence=markers.confidence[300:400],
+    )
+    np.testing.assert_allclose(space.place(part).positions, placed.positions[300:400], atol=1e-4)
+
+
 def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     face, mapping = synthetic_face(), trained()
     with pytest.raises(InputError, match="still holds head motion; run the clean step"):

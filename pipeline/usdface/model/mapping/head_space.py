@@ -14,7 +14,8 @@ from usdface.model.mapping.take_neutral import MIN_OFFSET_MM, TakeNeutral, compa
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.pose_error import PoseErrors, observed_motion
-from usdface.numerics.rigid.rigid_alignment import optimal_rotations
+from usdface.numerics.rigid.rigid_alignment import align_rigid, optimal_rotations
+from usdface.numerics.rigid.rigid_template import RigidTemplate
 
 MINIMUM_SHARE = 0.5
 """Share of the mapping's markers that a take must have: with fewer, most of the face is unobserved.
@@ -25,10 +26,6 @@ MINIMUM_RIGID = 3
 
 RIGID_TOLERANCE_MM = 5.0
 """Largest median distance of the rigid markers from the performer's after alignment."""
-
-COLLINEAR_RATIO = 0.02
-"""Second singular value of the rigid markers, relative to the first, up to which they are
-collinear: noise then determines the rotation about their line."""
 
 _RIGID_RADIUS_MM = 60.0
 """Usual RMS distance of rigid markers from their centre: 40 mm on a brow and nose, 90 on a cap."""
@@ -99,6 +96,8 @@ class HeadSpace:
     they were put on again, root mean square [mm]."""
     pair_offset: FloatArray | float = 0.0
     """(markers, 3): offset that the take's reference pairs show, in the take's space [mm]."""
+    template: RigidTemplate | None = None
+    """Of the performer's rigid markers, in the take's space; None if the take's are the same."""
 
     def place(self, markers: Markers) -> MappedMarkers:
         """Return frames of the take in the mapping's order, head space and neutral face."""
@@ -113,6 +112,8 @@ class HeadSpace:
 
     def move(self, positions: Float32Array, visible: BoolArray) -> Float32Array:
         """Align positions in the mapping's order, (frames, markers, 3) [mm], with its neutral."""
+        if self.template is not None:
+            positions = self.template.align(positions, visible)
         flat = positions - np.float32(self.pair_offset)
         flat = flat.reshape(-1, 3) @ self.rotation.T.astype(np.float32)
         flat += self.shift.astype(np.float32)
@@ -157,8 +158,9 @@ def find_head_space(
 ) -> HeadSpace:
     """Match markers by name, and estimate the alignment of a take with a performer's face.
 
-    One rigid transformation for the take maps the median positions of its rigid markers to the
-    performer's. The constant difference that remains is the take's offset.
+    Frames of a take that was stabilised by other rigid markers are aligned by the performer's
+    first. One rigid transformation for the take maps the median positions of its rigid markers to
+    the performer's. The constant difference that remains is the take's offset.
 
     Parameters
     ----------
@@ -180,6 +182,12 @@ def find_head_space(
     slots, columns = _common_markers(face, markers)
     count = len(face.marker_names)
     positions, visible = _in_order(markers, columns, slots, count)
+    template = None
+    if set(markers.rigid) != set(face.rigid):
+        rigid = np.flatnonzero(np.isin(face.marker_names, face.rigid))
+        template = RigidTemplate.from_sample(positions, visible, rigid)
+    if template is not None:
+        positions = template.align(positions, visible)
     numbers = np.arange(len(positions)) if frames is None else frames
     by_pairs = _align_pairs(face, take, numbers, positions)
     aligned = by_pairs or _align_medians(face, positions, visible)
@@ -218,6 +226,7 @@ def find_head_space(
         errors,
         aligned.moved_mm,
         aligned.pair_offset,
+        template,
     )
 
 
@@ -323,7 +332,7 @@ def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolAr
     )
     names = np.array(face.marker_names)[common]
     rigid = np.isin(names, face.rigid)
-    is_determined = rigid.sum() >= MINIMUM_RIGID and not _are_collinear(target[rigid])
+    is_determined = align_rigid(target[None, rigid], target[rigid]).determined[0]
     used = rigid if is_determined else np.ones(len(common), np.bool_)
     if used.sum() < MINIMUM_RIGID:
         raise InputError(
@@ -339,11 +348,6 @@ def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolAr
     if np.median(face_away) > RIGID_TOLERANCE_MM:
         _refuse(names[used].tolist(), median[used], target[used], away[used])
     return _Alignment(*by_face, moved_mm=float(np.sqrt((face_away[rigid] ** 2).mean())))
-
-
-def _are_collinear(points: FloatArray) -> bool:
-    breadth = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(breadth[1] <= COLLINEAR_RATIO * breadth[0])
 
 
 def _refuse(names: list[str], median: FloatArray, target: FloatArray, away: FloatArray) -> NoReturn:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, IntArray, RealArray, sample_frames
+from usdface.core.arrays import BoolArray, Float32Array, RealArray, sample_frames
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 
 _NEIGHBOR_COUNT = 8

@@ -207,10 +207,7 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     shared = set.intersection(*(set(cloud.names) for cloud in clouds))
     names = tuple(name for name in clouds[0].names if name in shared)
     every = dict.fromkeys(name for cloud in clouds for name in cloud.names)
-    # Rigid in every take, or in as many as the third of them: sets that are detected differ.
-    votes = [sum(name in cloud.rigid for cloud in clouds) for name in names]
-    least = sorted([1] * FEWEST_RIGID + votes)[-FEWEST_RIGID]
-    rigid = tuple(name for name, count in zip(names, votes, strict=True) if count >= least)
+    rigid = tuple(name for name in names if name in clouds[0].rigid)
     _check_marker_sets(paths, clouds, names, rigid)
     positions, usable = [], []
     for cloud in clouds:
@@ -269,7 +266,7 @@ def _onto_first(
             positions=positions[index][rows],
             visible=usable[index][rows],
             confidence=usable[index][rows].astype(np.float32),
-            rigid=rigid,
+            rigid=() if cloud is None else cloud.rigid,
             neutral_frame=row + take.first_frame,
             space="stabilized",
         )
