@@ -276,6 +276,11 @@ def _marker_notes(space: HeadSpace) -> list[str]:
         notes.append(f"not used, as the mapping lacks them: {counted(space.extra, 'marker')}")
     if space.pose_errors is not None and space.pose_errors.size_mm:
         notes.append(pose_error_note("the take", space.pose_errors.size_mm))
+    if space.template is not None:
+        notes.append(
+            "its head motion was removed by other rigid markers than that of the references; its "
+            "frames were aligned by those of the references"
+        )
     if space.moved_mm:
         notes.append(
             f"the rigid markers were put on again, {space.moved_mm:.1f} mm (root mean square) "
