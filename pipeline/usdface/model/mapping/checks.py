@@ -1,6 +1,6 @@
 """Validation of references before training."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,17 +12,9 @@ from usdface.core.text import first_few, repeated
 MINIMUM_PAIRS = 2
 
 
-@dataclass(frozen=True)
-class CheckedReferences:
-    """Valid references, with the number of weights that were limited to their ranges."""
-
-    references: References
-    limited_weights: int
-
-
 def check_references(
     references: References, *, ranges: FloatArray, gram: FloatArray | None
-) -> CheckedReferences:
+) -> References:
     """Return valid references: weights limited to their ranges, repeated pairs dropped.
 
     Raises
@@ -37,8 +29,7 @@ def check_references(
     if faults:
         raise InputError("the references cannot be trained on:\n  " + "\n  ".join(faults))
     limited = np.clip(references.weights, ranges[:, 0], ranges[:, 1])
-    changed = int((limited != references.weights).sum())
-    return CheckedReferences(_without_repeats(replace(references, weights=limited)), changed)
+    return _without_repeats(replace(references, weights=limited))
 
 
 def check_dimensions(choices: tuple[int, ...], *, pairs: int, motion: MotionSpace) -> None:

@@ -103,8 +103,7 @@ def train_mapping(
         Pairs, with the takes' principal components in `references.motion`. Regions of the face
         follow from `references.parts`, otherwise from the names of the shapes.
     ranges : (shapes, 2) float array
-        Lowest and highest weight of each shape. Weights are limited to it; the number of limited
-        ones is ``settings['limited_weights']``.
+        Lowest and highest weight of each shape, to which weights are limited.
     gram : (shapes, shapes) float array or None
         Mean over the rig's points of the dot products of the shapes' displacements [mm^2]: the
         metric of errors. Without it, all shapes have equal weight.
@@ -124,10 +123,10 @@ def train_mapping(
     InputError
         If the references, the skin or the choices do not fit each other or the method.
     """
-    check = check_references(references, ranges=ranges, gram=gram)
+    limited = check_references(references, ranges=ranges, gram=gram)
     divides = method == "auto" or find_method(method).solves_frames
     sides = (ShapeSides.divided if divides else ShapeSides.undivided)(ranges.astype(np.float64))
-    checked = sides.references(check.references)
+    checked = sides.references(limited)
     face = _face(references, checked, sides, gram=gram, skin=skin, rest=rest)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=face.motion)
     progress(0.0, "fitting the forward model")
@@ -163,7 +162,7 @@ def train_mapping(
         | _region_settings(checked, folds, regions)
         | _key_settings(folds, checked)
         | {"pair_takes": json.dumps(sorted(set(checked.takes)), ensure_ascii=False)}
-        | {"limited_weights": check.limited_weights, "pose_error_mm": pose_error_mm}
+        | {"pose_error_mm": pose_error_mm}
         | {"unobservable_shapes": int((~compared.observable).sum())},
         scores=compared.scores,
     )
