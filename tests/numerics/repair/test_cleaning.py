@@ -66,6 +66,20 @@ def test_the_neutral_frame_says_which_labels_of_a_long_swap_are_right():
     assert [(swap.start, swap.stop) for swap in cleaned.swaps] == [(500, 1060)]
 
 
+@pytest.mark.parametrize("swapped", [slice(500, 1100), slice(0, 600)])
+def test_a_label_that_jumps_to_a_lost_marker_is_put_back(swapped):
+    face = simulate_face(frames=1500)
+    away = np.linalg.norm(face.truth[0] - face.truth[0, 4], axis=1)
+    other = int(away.argsort()[1])
+    captured, visible = face.captured.copy(), face.visible.copy()
+    captured[swapped, 4] = captured[swapped, other]
+    visible[swapped, other] = False
+    visible[swapped.start - 5 : swapped.start, 4] = False
+    cleaned = clean_markers(captured, visible, rigid=face.rigid, neutral=1400, max_gap=0)
+    found = [(swap.first, swap.second, swap.start, swap.stop) for swap in cleaned.swaps]
+    assert found == [(*sorted((4, other)), swapped.start, swapped.stop)]
+
+
 def test_outliers_are_replaced_and_good_samples_are_not(damaged):
     face, cleaned = damaged
     good = face.visible & ~face.swapped & ~face.strays

@@ -25,7 +25,7 @@ from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.gap_filling import complete_take, explained_after
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 from usdface.numerics.repair.outliers import USUAL_RATE, find_lost, find_outliers
-from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
+from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps, jumps_onto_lost
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
 from usdface.numerics.rigid.rigid_alignment import align_rigid, alignment_of, remove_motion
@@ -149,7 +149,7 @@ def clean_markers(
             captured = np.array(captured)
             apply_swaps(captured, swaps)
             take = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm, out=captured)
-            model = _pose_by_face(take, model, rank, noise)
+            model = _pose_by_face(take, take.visible, model, rank, noise)
     progress(0.45, "outliers")
     outliers = find_outliers(take.positions, seen, model=model, noise=noise, rate=rate)
     good = seen & ~outliers
@@ -263,35 +263,38 @@ def _stabilize_without_lost(
 
 def _model_face(take: _StabilizedTake) -> tuple[LowRankModel, int, FloatArray]:
     """Return the face's model, its rank, and the markers' noise; replace interpolated poses."""
-    posed = _with_measured_pose(take)
-    noise = marker_noise(take.positions, posed)
+    noise = marker_noise(take.positions, _with_measured_pose(take, take.visible))
+    jumps = jumps_onto_lost(take.positions, take.visible, noise=float(np.median(noise)))
+    labelled = take.visible & ~jumps
+    posed = _with_measured_pose(take, labelled)
     model = fit_low_rank(take.positions, posed, noise=noise)
     rank = choose_rank(take.positions, posed, start=model, noise=noise)
-    return _pose_by_face(take, model, rank, noise), rank, noise
+    return _pose_by_face(take, labelled, model, rank, noise), rank, noise
 
 
-def _with_measured_pose(take: _StabilizedTake) -> BoolArray:
+def _with_measured_pose(take: _StabilizedTake, labelled: BoolArray) -> BoolArray:
     """Return the samples to which the face's model is fitted, (frames, markers).
 
-    Those of frames with a measured pose; all, for markers that are visible only in other frames,
-    and in takes of fewer such frames than `_FEWEST_MEASURED_FRAMES`.
+    Of those that are certainly labelled, the ones of frames with a measured pose; all, for markers
+    that are visible only in other frames, and in takes of fewer such frames than
+    `_FEWEST_MEASURED_FRAMES`.
     """
     if take.measured.sum() < _FEWEST_MEASURED_FRAMES or take.measured.all():
-        return take.visible
-    posed = take.visible & take.measured[:, None]
+        return labelled
+    posed = labelled & take.measured[:, None]
     unseen = ~posed.any(axis=0)
-    posed[:, unseen] = take.visible[:, unseen]
+    posed[:, unseen] = labelled[:, unseen]
     return posed
 
 
 def _pose_by_face(
-    take: _StabilizedTake, start: LowRankModel, rank: int, noise: FloatArray
+    take: _StabilizedTake, labelled: BoolArray, start: LowRankModel, rank: int, noise: FloatArray
 ) -> LowRankModel:
     """Fit the face's model at measured poses, and replace the interpolated poses by it, in place.
 
     The confidence of a pose is ``1 - variance / motion``, mean squares of a marker [mm^2].
     """
-    posed = _with_measured_pose(take)
+    posed = _with_measured_pose(take, labelled)
     model = fit_low_rank(take.positions, posed, rank_limit=rank, start=start, noise=noise)
     known = take.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS
     rows = np.flatnonzero(~take.measured & known)

@@ -17,6 +17,7 @@ from usdface.core.arrays import (
     Float32Array,
     IntArray,
     RealArray,
+    distances,
     extend_block,
     frame_blocks,
     runs,
@@ -37,6 +38,10 @@ from usdface.numerics.repair.swap_evidence import (
 _JUMP_MEDIAN_STEPS = 6.0
 """[of the median step] Larger steps between frames are jumps."""
 _STEP_SAMPLE_FRAMES = 8192
+_LOST_JUMP_SCALES = 4.0
+"""[of the smallest jump] Least step of a marker to the place of one that is lost."""
+_NEAR_LOST = 0.5
+"""[of the step] Largest distance from that place."""
 _LONGEST_SWAP_SHARE = 0.5
 """[of the take] Longer swaps are taken for the true labels."""
 _LEAST_GAIN = 20.0
@@ -112,6 +117,49 @@ def find_swaps(
         found[row] = swaps or found[row]
     candidates = [each for swaps in found for each in swaps if each[0] >= _LEAST_GAIN]
     return _without_conflicts(candidates)
+
+
+def jumps_onto_lost(positions: RealArray, visible: BoolArray, *, noise: float) -> BoolArray:
+    """Return samples of markers that jumped to where another was lost: (frames, markers).
+
+    Until the other is visible again, or a step as large, they may have its label. A model that is
+    fitted to them predicts a marker at either place, and cannot tell which label is right.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Without head motion; anything where not visible.
+    visible : (frames, markers) bool array
+    noise : float
+        Standard deviation of a measured coordinate [mm].
+    """
+    scale = _LOST_JUMP_SCALES * _jump_scale(positions, visible, noise)
+    # A swap from the beginning ends with such a jump in the reverse direction of time.
+    reverse = _jumps_forward(positions[::-1], visible[::-1], scale)[::-1]
+    return np.asarray(reverse | _jumps_forward(positions, visible, scale))
+
+
+def _jumps_forward(positions: RealArray, visible: BoolArray, scale: float) -> BoolArray:
+    found = np.zeros(visible.shape, np.bool_)
+    loses = np.append(False, (visible[:-1] & ~visible[1:]).any(axis=1))
+
+    def find(marker: int) -> None:
+        rows = np.flatnonzero(visible[:, marker])
+        after = np.flatnonzero(loses[rows[1:]]) + 1
+        steps = distances(positions[rows[after], marker], positions[rows[after - 1], marker])
+        for index in np.flatnonzero(steps > scale):
+            start, near = rows[after[index]], _NEAR_LOST * steps[index]
+            lost = np.flatnonzero(visible[start - 1] & ~visible[start])
+            away = distances(positions[start - 1, lost], positions[start, marker])
+            if away.min() <= near:
+                track = positions[rows[after[index] :], marker]
+                back = rows[after[index] + 1 :][distances(track[1:], track[:-1]) > near]
+                again = np.flatnonzero(visible[start:, lost[away.argmin()]]) + start
+                stop = min([len(visible), *back[:1], *again[:1]])
+                found[start:stop, marker] = visible[start:stop, marker]
+
+    map_threads(find, range(visible.shape[1]))
+    return found
 
 
 def apply_swaps(values: NDArray[np.generic], swaps: tuple[Swap, ...]) -> None:
