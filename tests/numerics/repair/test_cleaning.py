@@ -80,6 +80,19 @@ def test_a_label_that_jumps_to_a_lost_marker_is_put_back(swapped):
     assert found == [(*sorted((4, other)), swapped.start, swapped.stop)]
 
 
+@pytest.mark.parametrize("hidden", [0, 10])
+def test_swapped_labels_of_opposite_sides_are_put_back(hidden):
+    face = simulate_face(frames=1500)
+    away = np.linalg.norm(face.truth[0] - face.truth[0, 4], axis=1)
+    other = int(away.argsort()[15])
+    captured, visible = face.captured.copy(), face.visible.copy()
+    captured[500:700, [4, other]] = captured[500:700, [other, 4]]
+    visible[500 - hidden : 500, [4, other]] = visible[700 : 700 + hidden, [4, other]] = False
+    cleaned = clean_markers(captured, visible, rigid=face.rigid, neutral=0)
+    found = [(swap.first, swap.second, swap.start, swap.stop) for swap in cleaned.swaps]
+    assert found == [(*sorted((4, other)), 500 - hidden, 700)]
+
+
 def test_outliers_are_replaced_and_good_samples_are_not(damaged):
     face, cleaned = damaged
     good = face.visible & ~face.swapped & ~face.strays

@@ -9,7 +9,7 @@ from usdface.numerics.repair.fit_low_rank import fit_low_rank
 from usdface.numerics.repair.low_rank import fill_missing
 from usdface.numerics.repair.relabeling import find_swaps, likeliest_states
 from usdface.numerics.repair.swap_evidence import (
-    neighbor_pairs,
+    likely_pairs,
     open_window,
     suspicious_pairs,
     weigh_swap,
@@ -37,7 +37,7 @@ def test_a_pair_lies_as_far_off_as_hiding_both_says(swapped):
     still, visible, model = swapped
     window = open_window(still, visible, model)
     complete = fill_missing(model, still, visible)
-    for pair in neighbor_pairs(still, visible, model, 0.15)[::40]:
+    for pair in likely_pairs(still, visible, model, 0.15, STEP_SCALE)[::40]:
         both = [pair.first, pair.second]
         good = np.ones_like(visible)
         good[:, both] = False
@@ -51,7 +51,7 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
     seen = np.ones_like(visible)
     complete = fill_missing(model, still, visible)
     window = open_window(complete, seen, model)
-    pairs = neighbor_pairs(complete, seen, model, 0.15)
+    pairs = likely_pairs(complete, seen, model, 0.15, STEP_SCALE)
     found = suspicious_pairs(pairs, window, step_scale=STEP_SCALE)
     hinted = []
     for pair in pairs:
@@ -86,7 +86,7 @@ def test_a_search_of_telling_frames_alone_finds_what_the_whole_take_does(swapped
     found = find_swaps(still, visible, model=model, noise=0.15, neutral=0)
     scale = relabeling._jump_scale(still, visible, noise)
     of_whole = set()
-    for pair in neighbor_pairs(still, visible, model, noise):
+    for pair in likely_pairs(still, visible, model, noise, scale):
         gain, toggle = weigh_swap(pair, window, step_scale=scale)
         for start, stop in relabeling.runs(likeliest_states(gain, toggle)):
             of_whole.add((pair.first, pair.second, start, stop))

@@ -1,7 +1,7 @@
-"""Detection and correction of swapped labels of two neighbouring markers.
+"""Detection and correction of swapped labels of two markers.
 
 A swap is a state that begins and ends with a jump, during which each marker is at the other's
-predicted position. From the evidence of each pair of neighbours (see `swap_evidence`), the Viterbi
+predicted position. From the evidence of each likely pair (see `swap_evidence`), the Viterbi
 algorithm finds the most likely sequence of states over the take.
 """
 
@@ -28,7 +28,8 @@ from usdface.numerics.repair.swap_evidence import (
     JUMP_LIMITS,
     TOGGLE_COST,
     Pair,
-    neighbor_pairs,
+    jumps_between,
+    likely_pairs,
     open_window,
     pair_directed_as,
     suspicious_pairs,
@@ -38,10 +39,6 @@ from usdface.numerics.repair.swap_evidence import (
 _JUMP_MEDIAN_STEPS = 6.0
 """[of the median step] Larger steps between frames are jumps."""
 _STEP_SAMPLE_FRAMES = 8192
-_LOST_JUMP_SCALES = 4.0
-"""[of the smallest jump] Least step of a marker to the place of one that is lost."""
-_NEAR_LOST = 0.5
-"""[of the step] Largest distance from that place."""
 _LONGEST_SWAP_SHARE = 0.5
 """[of the take] Longer swaps are taken for the true labels."""
 _LEAST_GAIN = 20.0
@@ -67,7 +64,7 @@ class Swap:
 def find_swaps(
     positions: RealArray, visible: BoolArray, *, model: LowRankModel, noise: float, neutral: int
 ) -> tuple[Swap, ...]:
-    """Find the ranges of frames in which two neighbouring markers have each other's label.
+    """Find the ranges of frames in which two markers have each other's label.
 
     Returns them by start; no marker is in two at the same time.
 
@@ -85,7 +82,7 @@ def find_swaps(
         Index of a frame whose labels are right, unless the pair is swapped for most of the take.
     """
     step_scale = _jump_scale(positions, visible, noise)
-    pairs = neighbor_pairs(positions, visible, model, noise)
+    pairs = likely_pairs(positions, visible, model, noise, step_scale)
 
     def hints_in(block: slice) -> BoolArray:
         before = slice(max(block.start - 1, 0), block.stop)
@@ -133,32 +130,23 @@ def jumps_onto_lost(positions: RealArray, visible: BoolArray, *, noise: float) -
     noise : float
         Standard deviation of a measured coordinate [mm].
     """
-    scale = _LOST_JUMP_SCALES * _jump_scale(positions, visible, noise)
-    # A swap from the beginning ends with such a jump in the reverse direction of time.
-    reverse = _jumps_forward(positions[::-1], visible[::-1], scale)[::-1]
-    return np.asarray(reverse | _jumps_forward(positions, visible, scale))
-
-
-def _jumps_forward(positions: RealArray, visible: BoolArray, scale: float) -> BoolArray:
+    scale = _jump_scale(positions, visible, noise)
     found = np.zeros(visible.shape, np.bool_)
-    loses = np.append(False, (visible[:-1] & ~visible[1:]).any(axis=1))
-
-    def find(marker: int) -> None:
-        rows = np.flatnonzero(visible[:, marker])
-        after = np.flatnonzero(loses[rows[1:]]) + 1
-        steps = distances(positions[rows[after], marker], positions[rows[after - 1], marker])
-        for index in np.flatnonzero(steps > scale):
-            start, near = rows[after[index]], _NEAR_LOST * steps[index]
-            lost = np.flatnonzero(visible[start - 1] & ~visible[start])
-            away = distances(positions[start - 1, lost], positions[start, marker])
-            if away.min() <= near:
-                track = positions[rows[after[index] :], marker]
-                back = rows[after[index] + 1 :][distances(track[1:], track[:-1]) > near]
-                again = np.flatnonzero(visible[start:, lost[away.argmin()]]) + start
-                stop = min([len(visible), *back[:1], *again[:1]])
-                found[start:stop, marker] = visible[start:stop, marker]
-
-    map_threads(find, range(visible.shape[1]))
+    # A swap from the beginning ends with such a jump in the reverse direction of time.
+    for points, seen, out in (
+        (positions, visible, found),
+        (positions[::-1], visible[::-1], found[::-1]),
+    ):
+        for frame, marker, other in jumps_between(points, seen, scale).tolist():
+            if seen[frame, other]:
+                continue
+            rows = np.flatnonzero(seen[:, marker])
+            steps = distances(points[rows[1:], marker], points[rows[:-1], marker])
+            jump = int(np.searchsorted(rows, frame))
+            back = rows[jump + 1 :][steps[jump:] > steps[jump - 1] / 2]
+            again = frame + np.flatnonzero(seen[frame:, other])
+            stop = min([len(seen), *back[:1], *again[:1]])
+            out[frame:stop, marker] = seen[frame:stop, marker]
     return found
 
 

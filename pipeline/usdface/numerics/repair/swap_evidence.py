@@ -1,4 +1,4 @@
-"""Evidence per frame that two neighbouring markers have each other's label.
+"""Evidence per frame that two markers have each other's label.
 
 Three kinds, all needed: positions against predictions from the other markers are too weak between
 close neighbours, directions alone mistake a grimace for a swap, and jumps alone mistake noise next
@@ -9,11 +9,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, RealArray, sample_frames
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    IntArray,
+    RealArray,
+    distances,
+    frame_blocks,
+    sample_frames,
+)
+from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 
 _NEIGHBOR_COUNT = 8
 _SAMPLE_FRAMES = 4096
+_LEAST_JUMP_SCALES = 4.0
+"""[of the smallest jump] Least jump between markers that are not neighbours."""
 _BLOCK_FRAMES = 64
 """[frames] Blocks whose extremes exclude a swap are not examined frame by frame."""
 TOGGLE_COST = 12.0
@@ -34,7 +45,7 @@ _JUMP_HINT = -20.0
 
 @dataclass(frozen=True)
 class Pair:
-    """Two neighbouring markers, and their constants over the take."""
+    """Two markers, and their constants over the take."""
 
     first: int
     second: int
@@ -71,14 +82,19 @@ def open_window(positions: RealArray, visible: BoolArray, model: LowRankModel) -
     )
 
 
-def neighbor_pairs(
-    positions: RealArray, visible: BoolArray, model: LowRankModel, noise: float
+def likely_pairs(
+    positions: RealArray, visible: BoolArray, model: LowRankModel, noise: float, step_scale: float
 ) -> list[Pair]:
-    """Return all pairs of near neighbours, with the variance of their prediction residuals."""
+    """Return pairs that may be swapped, with the variance of their prediction residuals.
+
+    Near neighbours, and markers of which one jumps to the last place of the other.
+    """
     rest = model.mean.reshape(-1, 3)
     distances = np.linalg.norm(rest[:, None] - rest[None], axis=2)
     nearest = np.argsort(distances, axis=1)[:, 1 : _NEIGHBOR_COUNT + 1]
-    chosen = sorted({(min(a, b), max(a, b)) for a, row in enumerate(nearest.tolist()) for b in row})
+    pairs_of = [(a, b) for a, row in enumerate(nearest.tolist()) for b in row]
+    pairs_of += jumps_between(positions, visible, step_scale)[:, 1:].tolist()
+    chosen = sorted({(min(pair), max(pair)) for pair in pairs_of})
     rows = sample_frames(len(positions), _SAMPLE_FRAMES)
     window = open_window(positions[rows], visible[rows], model)
     pairs = []
@@ -89,6 +105,37 @@ def neighbor_pairs(
         variance = max(float(np.median(away**2)) / 0.455, 2.0 * noise**2, 1e-4)
         pairs.append(Pair(first, second, _direction(rest, first, second), variance, mixing))
     return pairs
+
+
+def jumps_between(positions: RealArray, visible: BoolArray, step_scale: float) -> IntArray:
+    """Return frame, marker and other of each jump of a marker to another's last place: (jumps, 3).
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Anything where not visible.
+    visible : (frames, markers) bool array
+    step_scale : float
+        Smallest step between frames, per coordinate, that is a jump [mm].
+    """
+    least = _LEAST_JUMP_SCALES * step_scale
+
+    def find(block: slice) -> IntArray:
+        first = max(block.start - 1, 0)
+        points, seen = positions[first : block.stop], visible[first : block.stop]
+        last = np.maximum.accumulate(np.where(seen, np.arange(len(seen))[:, None], -1), axis=0)
+        before = np.take_along_axis(points, np.maximum(last, 0)[..., None], axis=0)[:-1]
+        known = last[:-1] >= 0
+        steps = distances(points[1:], before)
+        frame, marker = np.nonzero((steps > least) & seen[1:] & known)
+        away = np.where(
+            known[frame], distances(points[frame + 1, marker][:, None], before[frame]), np.inf
+        )
+        near = away.min(axis=1, initial=np.inf) < np.minimum(least, steps[frame, marker] / 2)
+        found = np.column_stack([frame + 1 + first, marker, away.argmin(axis=1)])
+        return np.asarray(found[near], np.int64)
+
+    return np.concatenate(map_threads(find, frame_blocks(len(positions))))
 
 
 def pair_directed_as(pair: Pair, positions: RealArray) -> Pair:
