@@ -6,14 +6,27 @@ import shlex
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from develop import main as develop
 from tests.reference_pages import anchor, reference_pages
 from tests.regenerate import REFERENCE, REPOSITORY, USD_SCHEMA
-from tests.steps.small_shot import make_inputs
+from tests.small_scan import small_scan, small_scan_take, write_scan
+from tests.steps.small_shot import Shot, make_inputs
+from tests.usdio.small_creature import (
+    creature_acts,
+    human_moves,
+    write_creature,
+    write_creature_performance,
+    write_human,
+    write_human_performance,
+)
 from usdface.cli import main
-from usdface.usdio.performance.read import PerformanceReader
+from usdface.core.provenance import Provenance
+from usdface.media.picture.image import read_image_metadata
+from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.take.write import write_take
 
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 
@@ -157,3 +170,56 @@ def test_every_command_of_the_references_page_is_understood(tmp_path: Path, monk
     for line in lines:
         Path("spec.yaml").unlink(missing_ok=True)
         assert run(f"{line} --save-spec spec.yaml") == 0, line
+
+
+@pytest.mark.usefixtures("without_comparison", "placement_not_drawn", "coverage_not_drawn")
+@pytest.mark.parametrize("page", ["edits", "checks"])
+def test_the_pages_on_edits_and_checks_run(page: str, shot: Shot, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(shot.folder)
+    lines = commands(REPOSITORY / "docs" / f"{page}.md")
+    assert lines
+    for line in lines:
+        # Comparing the methods takes long, and is tested elsewhere.
+        code = run(f"{line} --method face_map" if line.startswith("usdface train ") else line)
+        assert code == 0, f"{line}\n{capsys.readouterr()}"
+
+
+@pytest.mark.usefixtures("without_comparison", "placement_not_drawn", "coverage_not_drawn")
+def test_the_page_on_any_mesh_runs(tmp_path: Path, monkeypatch, capsys) -> None:
+    scan = small_scan()
+    write_scan(tmp_path / "scan.usdc", scan)
+    write_take(tmp_path / "talk.take.usda", small_scan_take(scan), provenance=Provenance())
+    monkeypatch.chdir(tmp_path)
+    lines = commands(REPOSITORY / "docs" / "deform.md")
+    assert len(lines) == 6
+    for line in lines:
+        draft = " --quality draft" if "--picture" in line else ""
+        assert run(line + draft) == 0, f"{line}\n{capsys.readouterr()}"
+    for name in ("scan.binding.jpg", "talk.scan.jpg", "talk.acted.usda"):
+        assert (tmp_path / name).is_file()
+    assert read_image_metadata(tmp_path / "talk.scan.jpg")["step"] == "deform"
+    weights = read_performance(tmp_path / "talk.acted.usda").weights.values
+    assert weights.shape[1] == 6
+    assert weights.max() > 0.8, "the scan acts"
+
+
+def test_the_page_about_retargeting_runs(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    human, dog = write_human(Path("human.usda")), write_creature(Path("dog.usda"))
+    rng = np.random.default_rng(0)
+    poses = np.concatenate([np.zeros((1, 3)), np.eye(3), rng.random((20, 3))])
+    write_human_performance(Path("kitchen.human.usda"), human, human_moves(200))
+    write_human_performance(Path("human_poses.usda"), human, poses, first=1)
+    write_creature_performance(Path("dog_poses.usda"), dog, creature_acts(poses))
+    write_creature_performance(Path("dog_surprise.usda"), dog, creature_acts(human_moves(50)))
+    lines = commands(REPOSITORY / "docs" / "retarget.md")
+    assert len(lines) == 12
+    for line in lines:
+        code = run(line)
+        if "--source-rig human.usda --rig" in line:
+            assert code == 2
+            assert "too flat for a face" in capsys.readouterr().err  # so are these three points
+            continue
+        assert code == 0, f"{line}\n{capsys.readouterr()}"
+    for name in ("kitchen.warped.usda", "kitchen.faces.jpg", "kitchen.cyclic.jpg"):
+        assert Path(name).is_file()
