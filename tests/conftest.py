@@ -158,10 +158,13 @@ def placement_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def coverage_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the picture of the coverage empty, where a test is not of it."""
+    """Leave the picture of the coverage empty, and as it is when pairs change, in other tests."""
     from usdface.steps.inputs import coverage_report
+    from usdface.steps.references import from_edits, import_
 
     monkeypatch.setattr(coverage_report, "draw_coverage", _empty_picture)
+    for step in (from_edits, import_):
+        monkeypatch.setattr(step, "redraw_coverage", lambda *_: ((), []))
 
 
 def _empty_picture(*_: object, **__: object) -> np.ndarray:

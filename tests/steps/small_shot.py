@@ -1,6 +1,6 @@
 """A shot made once for many tests: the demo's actor, four seconds, and every file up to a sheet."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -60,7 +60,9 @@ def make_inputs(folder: Path) -> Shot:
         rate=acted.weights.rate,
         first_frame=1,
     )
-    write_weights(folder / "keys.csv", acted.weights, rig.shapes)
+    # Keys of more frames than the take has, as those of a whole scene are.
+    keys = replace(acted.weights, values=acted.weights.values[: FRAMES + 60])
+    write_weights(folder / "keys.csv", keys, rig.shapes)
     steps = [
         {
             "step": "ingest",

@@ -54,6 +54,7 @@ def errors(face, actor, placed):
     return np.linalg.norm(found - face.points[actor.carriers], axis=1)
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_a_rig_of_another_size_has_the_markers_at_the_same_places(face, skin, actor, placed):
     size = 0.3
     small = coarse_face_skin(size * face.points, face.triangles, size * face.flat_offsets)

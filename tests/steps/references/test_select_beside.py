@@ -26,6 +26,7 @@ from usdface.specs.references import (
     ReferencesImportSpec,
 )
 from usdface.steps.references import select
+from usdface.steps.references.images import remove_unused_images
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.read import read_pair_notes, read_references
@@ -221,7 +222,7 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
     assert set((shot / "new.references.images").iterdir()) == theirs
     for path in theirs:
         path.unlink()
-    execute(spec(shot, takes=(take,), count=6, images=False), overwrite=True)
+    remove_unused_images(out, ())
     assert not (shot / "new.references.images").exists()
 
 
