@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
@@ -64,6 +65,16 @@ def _marks_within(annotation: Any) -> list[Any]:
     for inner in get_args(annotation):
         marks += _marks_within(inner)
     return marks
+
+
+@cache
+def _marks(spec: type["Spec"]) -> list[tuple[str, Any]]:
+    """Return the marks of a spec's fields, with the field of each."""
+    return [
+        (name, mark)
+        for name, field in spec.model_fields.items()
+        for mark in (*field.metadata, *_marks_within(field.annotation))
+    ]
 
 
 class Spec(BaseModel):
@@ -184,12 +195,7 @@ class Spec(BaseModel):
     @classmethod
     def fields_marked(cls, kind: type[Any]) -> dict[str, Any]:
         """Return the fields with a mark of this kind, and the mark."""
-        return {
-            name: mark
-            for name, field in cls.model_fields.items()
-            for mark in (*field.metadata, *_marks_within(field.annotation))
-            if isinstance(mark, kind)
-        }
+        return {name: mark for name, mark in _marks(cls) if isinstance(mark, kind)}
 
     def paths(self, kind: type[Reads] | type[Writes]) -> tuple[Path, ...]:
         """Return every path this spec reads, or every path it writes."""

@@ -197,14 +197,15 @@ def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict
     """Return the mouth's middle and corners, on the seam where the jaw parts neighbours."""
     at, size = skin.positions, np.linalg.norm(jaw, axis=1)
     pairs = KDTree(at).query_pairs(_PARTED_REACH * TYPICAL_SIZE_MM, output_type="ndarray")
+    parted = np.linalg.norm(jaw[pairs[:, 0]] - jaw[pairs[:, 1]], axis=1)
+    far = parted > _LEAST_PARTED * size.max(initial=0.0)
+    pairs, parted = pairs[far], parted[far]
     lower, upper = np.where(
         (size[pairs[:, 0]] > size[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1]
     ).T
     distance = np.linalg.norm(at[lower] - at[upper], axis=1)
-    parted = np.linalg.norm(jaw[lower] - jaw[upper], axis=1)
     line = (at[lower] + at[upper]) / 2
     seam = parted > _SEAM_STRAIN * np.maximum(distance, _LEAST_DISTANCE_MM)
-    seam &= parted > _LEAST_PARTED * size.max(initial=0.0)
     seam &= at[lower, 1] < at[upper, 1] + _LEAST_DISTANCE_MM
     if "eye_outer_L" in eyes:
         seam &= abs(line[:, 0] - skin.sagittal_x) < abs(eyes["eye_outer_L"][0] - skin.sagittal_x)
