@@ -12,16 +12,18 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 from hypothesis import settings
 
-from tests.browser import chromium
-from tests.remembered import REMEMBERED, remember, store
-from tests.steps.small_shot import Shot, make_inputs
+# What is slow to import is imported by the fixtures: workers start once this file is read.
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tests.steps.small_shot import Shot
 
 sys.dont_write_bytecode = False
 
@@ -57,6 +59,8 @@ def remembered_folder(run_folder: Path) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _remembered(remembered_folder: Path) -> Iterator[None]:
+    from tests.remembered import REMEMBERED, remember
+
     with pytest.MonkeyPatch.context() as patch:
         remember(remembered_folder, REMEMBERED, patch.setattr)
         yield
@@ -109,8 +113,10 @@ def _not_waiting_for_disks() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def finished_shot(run_folder: Path) -> Shot:
+def finished_shot(run_folder: Path) -> "Shot":
     """A shot whose job has been run, by the first worker that needs it; read only."""
+    from tests.remembered import store
+    from tests.steps.small_shot import make_inputs
     from usdface.runner.job import run_job
     from usdface.specs.reading import read_job
 
@@ -136,6 +142,8 @@ def finished_shot(run_folder: Path) -> Shot:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A browser, started once for the tests of a file, each of which opens its own pages."""
+    from tests.browser import chromium
+
     with chromium() as running:
         yield running
 
@@ -167,13 +175,15 @@ def coverage_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(step, "redraw_coverage", lambda *_: ((), []))
 
 
-def _empty_picture(*_: object, **__: object) -> np.ndarray:
+def _empty_picture(*_: object, **__: object) -> "np.ndarray":
+    import numpy as np
+
     return np.zeros((8, 8, 3), np.uint8)
 
 
 @pytest.fixture
-def shot(finished_shot: Shot, tmp_path: Path) -> Shot:
+def shot(finished_shot: "Shot", tmp_path: Path) -> "Shot":
     """A copy of the finished shot that a test may change."""
     folder = tmp_path / "Schuss 1 ü"  # a name as users give them
     shutil.copytree(finished_shot.folder, folder)
-    return Shot(folder, finished_shot.rigid, finished_shot.neutral)
+    return replace(finished_shot, folder=folder)
