@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from develop import main as develop
+from tests.model.placement.conftest import search_from_few_starts
 from tests.reference_pages import anchor, reference_pages
 from tests.regenerate import REFERENCE, REPOSITORY, USD_SCHEMA
 from tests.small_scan import small_scan, small_scan_take, write_scan
@@ -141,7 +142,7 @@ def Scope "Cut"
 """A cut whose camera looks at the character."""
 
 
-@pytest.mark.usefixtures("without_comparison")
+@pytest.mark.usefixtures("without_comparison", "coverage_not_drawn")
 def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
     monkeypatch.chdir(shot.folder)
     (shot / "cut010.usda").write_text(CUT, encoding="utf-8")
@@ -156,6 +157,7 @@ def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
         small = {
             "sheet": " --tile 64 --quality draft --rows 2",
             "movie": " --height 64 --rate 3 --workers 1",
+            "report": " --height 120 --frames 1-60",
         }
         replacing = "" if command == "edit" else " --overwrite"
         code = run(f"{line}{small.get(command, '')}{replacing}")
@@ -186,6 +188,7 @@ def test_the_pages_on_edits_and_checks_run(page: str, shot: Shot, monkeypatch, c
 
 @pytest.mark.usefixtures("without_comparison", "placement_not_drawn", "coverage_not_drawn")
 def test_the_page_on_any_mesh_runs(tmp_path: Path, monkeypatch, capsys) -> None:
+    search_from_few_starts(monkeypatch)
     scan = small_scan()
     write_scan(tmp_path / "scan.usdc", scan)
     write_take(tmp_path / "talk.take.usda", small_scan_take(scan), provenance=Provenance())

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdSkel
+from scipy.spatial.transform import Rotation
 
 from tests.edited_weights import read_weights
 from tests.steps.small_shot import FRAMES, Shot
@@ -24,14 +25,12 @@ from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
-from usdface.specs.capture import CleanSpec
 from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import (
     ReferencesAddSpec,
     ReferencesFromEditsSpec,
     ReferencesImportSpec,
-    SelectSpec,
 )
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.edits import bake
@@ -47,7 +46,7 @@ from usdface.usdio.performance import write
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import TunedPair
-from usdface.usdio.references.write import write_tuned_weights
+from usdface.usdio.references.write import write_references, write_tuned_weights
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, read_take
 from usdface.usdio.take.write import write_take
@@ -559,17 +558,24 @@ def test_curves_of_a_dcc_that_peak_at_different_frames_teach_where_they_are_stro
 
 
 def test_edits_teach_references_of_another_head_space_in_that_space(shot: Shot) -> None:
-    raised, other = shot / "raised.take.usda", shot / "other.references.usda"
-    run(CleanSpec(take=shot / "shot.take.usda", out=raised, neutral=200))
-    run(SelectSpec(takes=(raised,), rig=shot / "hero.usdc", out=other, count=8, images=False))
+    other, known = shot / "other.references.usda", read_references(shot / "hero.references.usda")
+    turn = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix()
+
+    def moved(positions: np.ndarray) -> np.ndarray:
+        return positions @ turn.T + 30.0
+
+    there = {"markers": moved(known.markers), "neutral": moved(known.neutral), "motion": None}
+    elsewhere = replace(known, **there)
+    rig = read_rig(shot / "hero.usdc")
+    write_references(other, elsewhere, rig, provenance=Provenance("select"))
     edit(shot / "shot.hero.usda", override=0.8, frames="100-102")
     given = {"references": other, "out": shot / "v2.usda"}
     run(ReferencesFromEditsSpec(performances=(shot / "shot.hero.usda",), **given))
     after, here = read_references(shot / "v2.usda"), [100, 101, 102]
     pairs = [after.frames.tolist().index(frame) for frame in here]
-    seen = TakeReader(raised).read_markers_at(here)
+    seen = TakeReader(shot / "shot.clean.take.usda").read_markers_at(here)
     order = [seen.names.index(name) for name in after.marker_names]
-    np.testing.assert_allclose(after.markers[pairs], seen.positions[:, order], atol=0.05)
+    np.testing.assert_allclose(after.markers[pairs], moved(seen.positions[:, order]), atol=0.05)
 
 
 def test_edits_in_a_shot_teach_at_the_frames_of_the_take_that_it_plays(shot: Shot) -> None:

@@ -123,7 +123,6 @@ def test_parts_that_do_not_fit_are_all_named(shot: Shot) -> None:
 
 
 def test_parts_of_another_take_or_mapping_are_not_joined(shot: Shot) -> None:
-    first = map_to(shot, "a.usda", frames="1-10")
     run(CleanSpec(take=shot / "shot.take.usda", out=shot / "rough.usda", smooth=False))
     take = map_to(shot, "b.usda", frames="11-20", take=shot / "rough.usda")
     run(TrainSpec(references=shot / "hero.references.usda", out=shot / "r.usdc", method="ridge"))
@@ -131,7 +130,7 @@ def test_parts_of_another_take_or_mapping_are_not_joined(shot: Shot) -> None:
     with pytest.raises(
         InputError, match=r"b\.usda: has another take .*c\.usda: has another mapping "
     ):
-        run(JoinSpec(parts=(first, take, mapping), out=shot / "joined.usda"))
+        run(JoinSpec(parts=(shot / "shot.hero.usda", take, mapping), out=shot / "joined.usda"))
 
 
 def test_frames_outside_the_take_are_refused(shot: Shot) -> None:
