@@ -114,9 +114,10 @@ def test_odd_values_stand_for_each_value_in_turn(tmp_path: Path, name: str) -> N
         pytest.importorskip("praatio")
     file, sound, read = READERS[name]
     content = sound()
+    deep = [token[:1000] if name.startswith("job") else token for token in DEEP]  # YAML is slow
     words = sorted({*content.replace(b",", b" ").replace(b":", b" ").split()}, key=content.find)
     for number, word in enumerate(words[:24]):
-        for token in TOKENS if number else TOKENS + DEEP:
+        for token in TOKENS if number else TOKENS + deep:
             check_refused_or_read(tmp_path / file, content.replace(word, token, 1), read)
 
 
