@@ -21,14 +21,14 @@ from usdface.steps.review.evaluation_tables import (
     evaluation_table,
 )
 from usdface.steps.review.scoring import read_key_table
-from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.performance.read import PerformanceReader, performance_of
 from usdface.usdio.rig.reference import read_rig_of_stage
 
 
 def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Measure the performance and write figures and curves."""
-    solved = read_performance(spec.performance).weights
     reader = PerformanceReader(spec.performance)
+    solved = performance_of(reader).weights
     rig = read_rig_of_stage(reader.stage, reader.animation)
     table, notes = read_key_table(
         spec.against,

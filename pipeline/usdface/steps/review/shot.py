@@ -22,7 +22,7 @@ from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.steps.inputs.solve_verdict import evidence_of
 from usdface.steps.review.clock import MovieClock
-from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.performance.read import PerformanceReader, performance_of
 from usdface.usdio.rig.reference import read_rig_of_stage
 from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
@@ -232,7 +232,7 @@ def open_shot(
             f"{reader.time_shift}, so they do not match those of {take_file}; give the performance "
             "as mapped"
         )
-    performance = read_performance(performance_file)
+    performance = performance_of(reader)
     if keyed:
         take = _keyed_take(performance_file, performance)
     else:

@@ -348,7 +348,11 @@ def read_solves(path: Path) -> list[PerformanceReader]:
 
 def read_performance(path: Path) -> Performance:
     """Read a performance with edits."""
-    reader = PerformanceReader(path)
+    return performance_of(PerformanceReader(path))
+
+
+def performance_of(reader: PerformanceReader) -> Performance:
+    """Return an open performance with edits."""
     rig_file, rig_prim = reader.rig()
     uncertainty_mm, coverage, residual_mm = reader.figures()
     return Performance(
