@@ -187,7 +187,9 @@ def test_a_version_that_lost_a_file_is_published_again(
     assert (again.version, again.is_new, again.files["weights"].is_file()) == (2, True, True)
 
 
-def test_two_who_publish_at_once_each_get_a_version(shot: Shot, tmp_path: Path) -> None:
+def test_three_who_publish_at_once_each_get_a_version(
+    shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (item,) = collect_performances([shot / "shot.hero.usda"])
     made = []
     for index in range(3):
@@ -195,6 +197,15 @@ def test_two_who_publish_at_once_each_get_a_version(shot: Shot, tmp_path: Path) 
         with (extracted.folder / "shot.hero.weights.usdc").open("ab") as stream:
             stream.write(b"\0" * index)  # each its own
         made.append(extracted)
+    together = threading.Barrier(len(made), timeout=60)
+
+    def latest(folder: Path, *, deleted: bool = False) -> int:
+        version = latest_version(folder, deleted=deleted)
+        if deleted:
+            together.wait()  # now all try the same number
+        return version
+
+    monkeypatch.setattr("usdface.publish.integrate.latest_version", latest)
     done = []
     threads = [
         threading.Thread(target=lambda each=each: done.append(integrate_performance(each)))
