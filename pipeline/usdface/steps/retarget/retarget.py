@@ -19,6 +19,7 @@ from usdface.model.retarget.shape_matching import Correspondence, correspond, ma
 from usdface.model.retarget.train import (
     limited_controls,
     predict_coordinates,
+    space_of,
     unspanned_shares,
 )
 from usdface.model.review.verdict import worst_verdict
@@ -48,7 +49,7 @@ from usdface.usdio.take.read import TakeReader, is_take
 _CHUNK_FRAMES = 8192
 
 _CUT_SHARE = 0.1
-"""[of a shape's range] Least excess over it that is reported."""
+"""[of a control's range] Least excess over it that is reported."""
 
 _UNSPANNED_SHARE = 0.25
 """Share of the motion, mean square, from which the error is half of the motion or more."""
@@ -82,12 +83,11 @@ class _Target:
         return self.rig.shapes if self.trained is None else self.trained.shapes
 
     def controls(self, source: FloatArray, alpha: FloatArray | None) -> tuple[Controls, FloatArray]:
-        """Return the controls for source weights, and the weights before they are limited."""
+        """Return the controls for source weights, and coordinates before they are limited."""
         columns = source @ self.transfer.matrix
         if self.trained is not None:
             coordinates = predict_coordinates(self.trained, columns, alpha=alpha)
-            controls = limited_controls(self.trained, coordinates)
-            return controls, coordinates[:, : len(self.trained.shapes)]
+            return limited_controls(self.trained, coordinates), coordinates
         if self.surfaces is not None:
             columns = match_positions(self.surfaces, columns)
         return shape_controls(self.rig.shapes, columns), columns
@@ -120,10 +120,10 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress) -> St
         out = spec.out[index]
         share = part(progress, index / len(targets), (index + 1) / len(targets))
         header = _header(spec, motion, target, heads[index])
-        largest = _write(out, header, motion, target, heads[index], alpha, share, provenance)
+        extremes = _write(out, header, motion, target, heads[index], alpha, share, provenance)
         target_notes = (
             *target.notes,
-            *_unlimited(target, largest),
+            *_unlimited(target, extremes),
             *describe_orientation(target.rig),
             *heads[index].notes,
             *performance_notes(out),
@@ -244,8 +244,8 @@ def _write(
     progress: Progress,
     provenance: Provenance,
 ) -> FloatArray:
-    """Write a performance; return the largest weight of each shape without limits."""
-    trained, largest = target.trained, np.zeros(len(target.shapes))
+    """Write a performance; return the extremes of each coordinate without limits: (2, k)."""
+    trained, extremes = target.trained, []
     with writing_control_performance(
         out,
         header,
@@ -259,15 +259,15 @@ def _write(
         for start in range(0, count, _CHUNK_FRAMES):
             rows = slice(start, start + _CHUNK_FRAMES)
             keyed = None if alpha is None else alpha[rows]
-            controls, weights = target.controls(motion.weights[rows], keyed)
+            controls, coordinates = target.controls(motion.weights[rows], keyed)
             writer.append(controls)
-            largest = np.maximum(largest, weights.max(axis=0, initial=0.0))
+            extremes += [coordinates.min(axis=0), coordinates.max(axis=0)]
             done = min(start + _CHUNK_FRAMES, count)
             progress(done / count, f"{out.name}: frame {motion.first_frame + done - 1}")
         write_head_layer(
             out, header, target.rig, head.transforms, controls=writer.layer, provenance=provenance
         )
-    return largest
+    return np.stack([np.min(extremes, axis=0), np.max(extremes, axis=0)])
 
 
 def _dead(
@@ -308,49 +308,50 @@ def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
     several = (transfer.matrix != 0).sum(axis=0) > 1
     if not several.any():
         return []
-    largest = (motion.weights @ transfer.matrix).max(axis=0, initial=0.0)
+    sums = (motion.weights @ transfer.matrix).max(axis=0, initial=0.0)
     return _exceeding(
         rig.shapes,
         rig.ranges,
-        np.where(several, largest, 0.0),
+        np.where(several, [rig.ranges[:, 0], sums], rig.ranges.T),
         cause="several source shapes add up on",
         remedy="MetaHuman's rig clamps its controls, for other rigs lower the weights with --names",
     )
 
 
-def _unlimited(target: _Target, largest: FloatArray) -> list[str]:
-    """Return a note on shapes that pairs or positions drive beyond their range."""
+def _unlimited(target: _Target, extremes: FloatArray) -> list[str]:
+    """Return a note on controls that pairs or positions drive beyond their range."""
     if target.surfaces is not None:
         return _exceeding(
             target.rig.shapes,
             target.rig.ranges,
-            largest,
+            extremes,
             cause="positions, which are matched without an upper limit, drive",
             remedy="train on pairs, or `bake --limit`",
         )
     if target.trained is None:
         return []
-    low, high = target.trained.ranges[: len(largest)].T
     return _exceeding(
-        target.trained.shapes,
-        np.stack([low, high + _CUT_SHARE * (high - low)], axis=1),
-        largest,
+        space_of(target.trained).names,
+        target.trained.ranges,
+        extremes,
         cause="expressions that add up would drive",
-        remedy="cut there, at the largest weight of rig and pairs: key pairs of such expressions, "
-        "or a pair with the full weight",
+        remedy="cut there, at the range of rig and pairs: key pairs of such expressions, or a pair "
+        "with the full motion",
     )
 
 
 def _exceeding(
-    shapes: tuple[str, ...], ranges: FloatArray, largest: FloatArray, *, cause: str, remedy: str
+    names: tuple[str, ...], ranges: FloatArray, extremes: FloatArray, *, cause: str, remedy: str
 ) -> list[str]:
-    """Return a note on the shapes whose largest weight exceeds their range."""
-    above = np.flatnonzero(largest > ranges[:, 1] + MOVING_WEIGHT).tolist()
-    names = [f"{shapes[i]} ({largest[i]:.2f})" for i in above]
-    if not names:
+    """Return a note on the controls whose least or largest value, (2, k), exceeds their range."""
+    low, high = ranges.T
+    below = np.where(low == 0, 0, low - extremes[0])  # below 0 overshoots rest, and is cut rightly
+    beyond = np.maximum(below, extremes[1] - high) / np.maximum(high - low, 1e-9)
+    above = np.flatnonzero(beyond > _CUT_SHARE).tolist()
+    if not above:
         return []
-    whose = "its" if len(names) == 1 else "their"
+    whose = "its" if len(above) == 1 else "their"
     return [
-        f"{cause} {pluralize(len(names), 'shape')} beyond {whose} range: "
-        f"{first_few(names, most=3)}; {remedy}"
+        f"{cause} {pluralize(len(above), 'control')} beyond {whose} range: "
+        f"{first_few([f'{names[i]} (by {beyond[i]:.0%})' for i in above], most=3)}; {remedy}"
     ]
