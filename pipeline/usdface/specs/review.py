@@ -276,7 +276,7 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     Measures, for the whole face, per region and per shape: the error of the surface in mm, the
     error of the weights, the error of the lip distance, the error of blinks at their peaks, and
     jitter. Gaze and tongue, which markers cannot show, are reported separately; the JSON's
-    `vertex_*` include them.
+    `vertex_*` include them. Shapes only: joints and attributes are not measured.
     """
 
     example = "usdface evaluate kitchen.hero.usda --against animator.csv --out kitchen.error.json"

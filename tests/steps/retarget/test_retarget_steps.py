@@ -416,6 +416,18 @@ def test_sequences_are_found_without_a_threshold_and_by_label(performed: Stall, 
     assert best["frames"] == [150, 190]
     assert best["distance"] == pytest.approx(0, abs=1e-6)
     assert usdface(*line.split(), "--overwrite", "--shapes", "jaw*") == 0
+    assert usdface(*line.split(), "--overwrite", "--shapes", "eye*", "--by", "threshold",
+                   "--threshold", "1e-9", "--frames", "145-186") == 0  # fmt: skip
+    told = capsys.readouterr().out
+    assert re.search(r"the nearest, 14\d-18\d, are 0\.\d+ off: if they show joy, raise", told)
+    make = "make-sequence --source shot.usda --target beast_poses.usda --label all --out long.usda"
+    assert usdface(*make.split()) == 0
+    both = line.replace("--sequence", "--sequence long.usda --sequence").split()
+    assert usdface(*both, "--overwrite", "--frames", "140-200") == 0  # the other is searched for
+    assert "long.usda: the sequence 'all' is 200 frames long" in capsys.readouterr().out
+    assert (
+        usdface(*both[:2], "--sequence", "long.usda", "--out", "n.usda", "--frames", "140-200") == 2
+    )
 
 
 def test_the_papers_threshold_is_a_sum(performed: Stall, capsys) -> None:
@@ -527,7 +539,7 @@ def test_matched_positions_beyond_the_range_are_named(
     ]
     assert usdface(*line, "--frames", "101-140") == 0
     assert re.search(
-        r"drive .* beyond (its|their) range: .*jawOpen \([1-4]\.", capsys.readouterr().out
+        r"drive .* beyond (its|their) range: .*jawOpen \(by [1-4]\d+%", capsys.readouterr().out
     )
 
 
@@ -674,6 +686,8 @@ def test_controls_cut_at_their_range_are_told(stall: Stall, capsys) -> None:
     assert re.search(r"expressions that add up would drive \d+ controls beyond", told)
     assert "head/ear_L.translateY (by " in told
     assert "cut there" in told
+    assert usdface("evaluate", "beast.shot.usda", "--against", "beast.shot.usda") == 0
+    assert "moves joints or Xforms, whose error is not measured" in capsys.readouterr().out
 
 
 def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:

@@ -84,14 +84,17 @@ def _read_sequences(
             known = ", ".join(sorted({each.label for _, each in sequences}))
             raise InputError(f"no sequence is labelled {label!r}; there are {known}")
         sequences = wanted
-    for path, sequence in sequences:
-        if len(sequence.source) > len(motion.weights):
-            raise InputError(
-                f"{path}: the sequence {sequence.label!r} is {len(sequence.source)} frames long, "
-                f"and {spec.source} has {len(motion.weights)} ({motion.first_frame}-"
-                f"{motion.last_frame}); search a longer take or shorten the sequence"
-            )
-    return sequences, [note for path, _ in sequences if (note := read[path][1])]
+    longer = [
+        f"{path}: the sequence {each.label!r} is {len(each.source)} frames long, and {spec.source} "
+        f"has {len(motion.weights)} ({motion.first_frame}-{motion.last_frame}); search a longer "
+        "take or shorten the sequence"
+        for path, each in sequences
+        if len(each.source) > len(motion.weights)
+    ]
+    if len(longer) == len(sequences):
+        raise InputError(longer[0])
+    fitting = [each for each in sequences if len(each[1].source) <= len(motion.weights)]
+    return fitting, [*(note for path, _ in fitting if (note := read[path][1])), *longer]
 
 
 def _find(
@@ -111,9 +114,13 @@ def _find(
         match = SequenceMatch(path, sequence.label, first, first + length - 1, distance)
         found.append((distance / max(matches.threshold, 1e-12), match))
     if not found:
+        nearest = best_match(taken, wanted)
+        first = motion.first_frame + int(nearest.starts[0])
         notes = (
             *notes,
-            f"{path.name}: no frames of the take are within {matches.threshold:.3f} of it",
+            f"{path.name}: no frames are within {matches.threshold:.3f} of it; the nearest, "
+            f"{first}-{first + length - 1}, are {nearest.distances[0]:.3f} off: if they show "
+            f"{sequence.label}, raise --threshold (with --by threshold), or compare its --shapes",
         )
     return found, list(notes)
 

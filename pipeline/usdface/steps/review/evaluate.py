@@ -23,6 +23,7 @@ from usdface.steps.review.evaluation_tables import (
 from usdface.steps.review.scoring import read_key_table
 from usdface.usdio.performance.read import PerformanceReader, performance_of
 from usdface.usdio.rig.reference import read_rig_of_stage
+from usdface.usdio.rig.rig_motion import RigMotion
 
 
 def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
@@ -63,6 +64,11 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> St
     notes += missing_shape_notes(
         spec.performance, solved.names, [name for name in table.names if name in rig.shapes]
     )
+    if RigMotion(spec.performance, rig).shares.nnz:
+        notes.append(
+            f"{spec.performance.name} moves joints or Xforms, whose error is not measured: compare "
+            "them with `usdface faces`"
+        )
     return StepResult(
         spec.out,
         evaluation_summary(evaluation),
