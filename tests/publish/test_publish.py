@@ -312,6 +312,22 @@ def test_a_version_turns_the_head_as_the_performance_does(shot: Shot, tmp_path: 
     assert got == wanted
 
 
+def test_a_layer_of_an_animator_above_the_performance_has_its_take(shot: Shot) -> None:
+    above = Sdf.Layer.CreateNew(str(shot / "animator.usda"))
+    above.subLayerPaths = ["./shot.hero.usda"]
+    below = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    above.timeCodesPerSecond = below.timeCodesPerSecond
+    above.defaultPrim = below.defaultPrim
+    above.Save()
+    (item,) = collect_performances([shot / "animator.usda"])
+    assert item.take is not None
+    assert item.take.resolve() == (shot / "shot.clean.take.usda").resolve()
+    above.subLayerOffsets[0] = Sdf.LayerOffset(40)  # its frames are others
+    above.Save()
+    (item,) = collect_performances([shot / "animator.usda"])
+    assert item.take is None
+
+
 @pytest.mark.parametrize(
     ("name", "slower", "moved"),
     [

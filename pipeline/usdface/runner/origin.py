@@ -292,7 +292,13 @@ def pair_with_files(
 
 
 def take_of_performance(performance: Path) -> Path | None:
-    """Return the take in a performance's provenance, of the source if retargeted; None if none."""
+    """Return the take in a performance's provenance, of the source if retargeted; None if none.
+
+    A layer above a performance has the take of that performance, unless it moves its frames.
+    """
+    above, *below = made_files(performance)
+    if below and not PerformanceReader(above).time_shift:
+        return next((take for each in below if (take := take_of_performance(each))), None)
     file, seen = performance, set[Path]()
     while file.resolve() not in seen:
         seen.add(file.resolve())

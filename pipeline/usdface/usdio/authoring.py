@@ -13,6 +13,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.errors import InputError
+from usdface.core.rates import check_frame_span
 from usdface.core.text import pluralize
 
 TrainingScore = TypeVar("TrainingScore")
@@ -117,6 +118,16 @@ def text_of(prim: Usd.Prim, name: str, time: float | None = None) -> str:
     attribute = prim.GetAttribute(name)
     when = Usd.TimeCode.Default() if time is None else time
     return str(attribute.Get(when) or "") if attribute else ""
+
+
+def key_times(attribute: Usd.Attribute) -> list[float]:
+    """Return the time codes of samples; of a spline, its ends and all whole ones between."""
+    if not attribute.HasSpline():
+        return list(attribute.GetTimeSamples())
+    knots = list(attribute.GetSpline().GetKnots())
+    check_frame_span(f"<{attribute.GetPath()}>", knots[0], knots[-1], samples=None)
+    whole = range(math.ceil(knots[0]), math.floor(knots[-1]) + 1)
+    return sorted({knots[0], *map(float, whole), knots[-1]})
 
 
 def unique_names(wanted: Iterable[str], *, longest: int | None = None) -> list[str]:

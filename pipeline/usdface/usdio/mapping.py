@@ -16,6 +16,7 @@ from usdface.usdio.authoring import (
     author_uniform,
     define_in_scope,
     doubles,
+    key_times,
     prim_in_scope,
     read_arrays,
     read_training,
@@ -105,7 +106,7 @@ def read_alpha_keys(path: Path) -> list[tuple[float, float]]:
     ]
     if len(keyed) != 1:
         raise InputError(f"{path}: {len(keyed)} prims have a value of {ATTRIBUTE}; key it on one")
-    times = keyed[0].GetTimeSamples()
+    times = key_times(keyed[0])
     if not times:
         return [(0.0, float(keyed[0].Get()))]
     return [(float(time), float(keyed[0].Get(time))) for time in times]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Ts, Usd, UsdGeom
 
 from tests.steps.small_shot import Shot
 from tests.usdio.small_creature import (
@@ -478,13 +478,22 @@ def test_alpha_is_keyed_over_time(trained: Stall) -> None:
     layer.SetTimeSample("/blend.face:mapping:alpha", 150, 1.0)
     layer.Save()
     Path("alpha.usda").rename("alpha.USDA")  # as some systems write it
+    spline = Ts.Spline("float")
+    for time, value in ((101, 0.0), (150, 1.0)):
+        spline.SetKnot(Ts.Knot("float", time=time, value=value, nextInterp=Ts.InterpLinear))
+    stage = Usd.Stage.CreateNew("spline.usda")
+    kind = Sdf.ValueTypeNames.Float
+    stage.DefinePrim("/blend").CreateAttribute("face:mapping:alpha", kind).SetSpline(spline)
+    stage.Save()
     made = []
-    for number, extra in enumerate(("", "--alpha alpha.csv", "--alpha alpha.USDA")):
+    for number, file in enumerate(("", "alpha.csv", "alpha.USDA", "spline.usda")):
+        extra = f"--alpha {file}" if file else ""
         line = f"retarget shot.usda --retargeting h.usda --out a{number}.usda {extra}"
         assert usdface(*line.split()) == 0
         made.append(read_control_clip(Path(f"a{number}.usda")).controls.weights)
     assert np.abs(made[1] - made[0]).max() > 1e-4
     np.testing.assert_array_equal(made[1], made[2])
+    np.testing.assert_allclose(made[1], made[3], atol=1e-6)
 
 
 def test_a_keyed_share_is_measured_by_the_round_trip(trained: Stall, capsys) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd
+from pxr import Sdf, Ts, Usd
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
@@ -132,6 +132,29 @@ def test_a_key_set_by_hand_in_another_tool_counts(tmp_path: Path) -> None:
     held = (FRAMES >= 115) & (FRAMES <= 118)
     np.testing.assert_allclose(column(path, "smile"), np.where(held, 0.2, WEIGHTS[:, 0]), atol=1e-6)
     np.testing.assert_allclose(column(path, "eyeBlink"), WEIGHTS[:, 2] + 0.25, atol=1e-6)
+
+
+def test_a_spline_of_an_animator_counts_between_its_knots(tmp_path: Path) -> None:
+    path = perform(tmp_path)
+    author(path, face__edit__jawOpen=0.0, face__override__smile=0.0)
+    stage = Usd.Stage.Open(str(tmp_path / "hand.usda"))
+    for name, values in (("edit:jawOpen", (0.0, 0.5, 0.0)), ("override:smile", (0.2, 0.2, 0.2))):
+        spline = Ts.Spline("float")
+        for time, value in zip((109.5, 120, 130), values, strict=True):
+            knot = Ts.Knot(typeName="float", time=time, value=value)
+            knot.SetNextInterpolation(Ts.InterpCurve)
+            knot.SetPostTanWidth(3)
+            knot.SetPreTanWidth(3)
+            spline.SetKnot(knot)
+        assert stage.GetPrimAtPath("/Hero/FaceSolve").GetAttribute(f"face:{name}").SetSpline(spline)
+    stage.Save()
+    bezier = [
+        stage.GetAttributeAtPath("/Hero/FaceSolve.face:edit:jawOpen").Get(int(f)) for f in FRAMES
+    ]
+    assert bezier[FRAMES.tolist().index(112)] < 0.11  # eased, not linear
+    np.testing.assert_allclose(column(path, "jawOpen"), WEIGHTS[:, 1] + bezier, atol=1e-6)
+    held = (FRAMES >= 110) & (FRAMES <= 130)
+    np.testing.assert_allclose(column(path, "smile"), np.where(held, 0.2, WEIGHTS[:, 0]), atol=1e-6)
 
 
 def test_an_edit_ends_where_its_value_is_blocked(tmp_path: Path) -> None:

@@ -60,7 +60,11 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
     )
     outside = len(table.frames) - len(given)
     if outside:
-        notes += (f"left out {pluralize(outside, 'frame')} outside the performance",)
+        notes += (
+            f"left out {pluralize(outside, 'frame')}: the file has {min(table.frames)}-"
+            f"{max(table.frames)}, the performance {reader.first_frame}-{reader.last_frame}; if "
+            "its time is shifted, export it with the performance's first frame and import it again",
+        )
     if not changed:
         return StepResult(
             (),

@@ -29,6 +29,7 @@ from usdface.numerics.motion.key_reduction import (
 from usdface.usdio.authoring import (
     author_timing,
     check_not_instanced,
+    key_times,
     prim_paths_in,
     retime_layer,
     top_path,
@@ -98,7 +99,7 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
     """Return an attribute's values at frames, interpolated linearly and held at the ends."""
     if attribute is None:
         return None
-    times = attribute.GetTimeSamples()
+    times = key_times(attribute)
     samples = [(time, attribute.Get(time)) for time in times] or [(0.0, attribute.Get())]
     first = next((value for _, value in samples if value is not None), None)
     if first is None:
@@ -120,7 +121,7 @@ def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
     """Return the frames from a blocked sample to the next that is not."""
     if attribute is None:
         return np.zeros(len(frames), dtype=bool)
-    times = attribute.GetTimeSamples()
+    times = key_times(attribute)
     blocks = np.array([attribute.Get(time) is None for time in times])
     if not blocks.any():
         return np.zeros(len(frames), dtype=bool)
@@ -130,7 +131,7 @@ def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
 
 def _sampled(attribute: Usd.Attribute, frames: IntArray) -> np.ndarray:
     """Return the frames within an attribute's samples; all, if it is constant."""
-    times = attribute.GetTimeSamples()
+    times = key_times(attribute)
     if not times:
         return np.ones(len(frames), dtype=bool)
     within: np.ndarray = (frames >= times[0]) & (frames <= times[-1])
@@ -148,7 +149,7 @@ def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
         time
         for attribute in animation.GetAuthoredPropertiesInNamespace("face")
         if attribute.GetName().startswith(PREFIXES)
-        for time in attribute.GetTimeSamples()
+        for time in key_times(attribute)
     ]
     if not times:
         return None
