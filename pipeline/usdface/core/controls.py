@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.text import pluralize
 
 JOINT_WIDTH = 9
 """Coordinates of a joint: translation, rotation vector, logarithm of its scale."""
@@ -55,11 +56,11 @@ class Controls:
     @property
     def summary(self) -> str:
         """Numbers of shapes, joints and attributes, as text."""
-        parts = [f"{len(self.shapes)} shapes"]
+        parts = [pluralize(len(self.shapes), "shape")]
         if self.joints:
-            parts.append(f"{len(self.joints)} joints")
+            parts.append(pluralize(len(self.joints), "joint"))
         if self.attributes:
-            parts.append(f"{len(self.attributes)} attributes")
+            parts.append(pluralize(len(self.attributes), "attribute"))
         return ", ".join(parts)
 
 

@@ -603,7 +603,10 @@ def key(path: str, prim: str, name: str, values: list[object]) -> None:
 def test_pairs_without_a_side_are_refused(stall: Stall, capsys) -> None:
     no_target_side(stall)
     assert import_pairs(target="short.usda") == 2
-    assert "10 pairs have no target: it has no keys at frames 21, 22" in capsys.readouterr().err
+    assert (
+        "10 pairs have no target: its weights have no keys at frames 21, 22"
+        in capsys.readouterr().err
+    )
     assert import_pairs(attributes="rig/lattice.dfm:bend") == 2
     assert "has no attribute 'dfm:bend'" in capsys.readouterr().err
     assert import_pairs(attributes="rig/lattice.dfm:name") == 2
@@ -697,6 +700,24 @@ def test_controls_cut_at_their_range_are_told(stall: Stall, capsys) -> None:
     assert "cut there" in told
     assert usdface("evaluate", "beast.shot.usda", "--against", "beast.shot.usda") == 0
     assert "moves joints or Xforms, whose error is not measured" in capsys.readouterr().out
+
+
+def test_a_character_of_joints_and_attributes_needs_no_moving_shape(stall: Stall, capsys) -> None:
+    still = replace(creature_acts(poses()), weights=np.zeros((len(poses()), 3)))
+    write_creature_performance(stall / "still.usda", stall.beast, still)
+    assert import_pairs(target="still.usda") == 0
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc") == 0
+    assert (
+        usdface("retarget", "shot.usda", "--retargeting", "x.retarget.usdc", "--out", "j.usda") == 0
+    )
+    assert not PerformanceReader(stall / "j.usda").solved().any()
+    assert usdface("validate", "j.usda") == 0
+    human = stall.weights * 0
+    write_human_performance(stall / "nothing.usda", stall.human, human, first=FIRST)
+    line = "retarget nothing.usda --retargeting x.retarget.usdc --rig beast.usda --out n.usda"
+    assert usdface(*line.split()) == 0
+    assert usdface("validate", "n.usda") == 1
+    assert "nothing ever moves" in capsys.readouterr().out
 
 
 def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:

@@ -49,7 +49,7 @@ def run(spec: FindSequencesSpec, *, provenance: Provenance, progress: Progress) 
         (spec.out,),
         f"{pluralize(len(sequences), 'sequence')} at {pluralize(len(kept), 'place')} in "
         f"{len(motion.weights)} frames",
-        tuple(notes),
+        tuple(dict.fromkeys(notes)),
         {
             "matches": [
                 {

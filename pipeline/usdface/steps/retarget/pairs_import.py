@@ -120,6 +120,6 @@ def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[in
         missing = sorted(set(these) - set(those))
         if missing:
             raise InputError(
-                f"{path}: {len(missing)} pairs have no {side}: it has no keys at frames "
+                f"{path}: {len(missing)} pairs have no {side}: its weights have no keys at frames "
                 f"{first_few(missing)}; key both animations at the same frames"
             )

@@ -167,8 +167,8 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
         samples.warning(
             f"time code {samples.times[row]:g}: {samples.names[column]} is "
             f"{samples.values[row, column]:.2f}, its range is {ranges[column, 0]:g} to "
-            f"{ranges[column, 1]:g} ({pluralize(int(counts[column]), 'sample')}); bake with "
-            "--limit, or author face:range on the BlendShape"
+            f"{ranges[column, 1]:g} ({pluralize(int(counts[column]), 'sample')}); author "
+            "face:range on the BlendShape if the rig can do this, else bake with --limit"
         )
         for column in columns
         for row in [int(beyond[:, column].argmax())]

@@ -13,6 +13,7 @@ from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
 from usdface.usdio.referenced_files import lost_targets
+from usdface.usdio.retarget.controls import attribute_names, attribute_path
 
 CLEAR_SHARE = 0.2
 """[of the whole displacement] Least difference between the sides of a one-sided shape."""
@@ -68,14 +69,26 @@ def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
             f"nothing was captured in {frame_ranges(gaps)}: what is there is interpolated. "
             "Animate it by hand, or take another take",
         )
-    weights = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
-    times = weights.GetTimeSamples() if weights and is_solved(prim) else []
-    if len(times) > 1 and not any(np.any(np.asarray(weights.Get(time))) for time in times):
+    if is_solved(prim) and not _moves(prim):
         yield Fault.error(
             prim.GetPath(),
-            "no shape ever moves: every weight is 0 at every frame. Look at the source and at the "
+            "nothing ever moves: every weight is 0 at every frame. Look at the source and at the "
             "names that are matched (`usdface names`)",
         )
+
+
+def _moves(prim: Usd.Prim) -> bool:
+    """Whether a solve has a weight, or its joints or attributes move."""
+    skel = UsdSkel.Animation(prim)
+    weights = skel.GetBlendShapeWeightsAttr()
+    times = weights.GetTimeSamples()
+    if len(times) < 2 or any(np.any(np.asarray(weights.Get(time))) for time in times):
+        return True
+    named = [attribute_path(prim.GetParent().GetPath(), name) for name in attribute_names(prim)]
+    stage = prim.GetStage()
+    others = [stage.GetAttributeAtPath(path) for path in named if path]
+    others += [skel.GetRotationsAttr(), skel.GetTranslationsAttr(), skel.GetScalesAttr()]
+    return any(len({str(each.Get(time)) for time in times}) > 1 for each in others if each)
 
 
 def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]]:

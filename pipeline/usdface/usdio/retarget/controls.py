@@ -63,7 +63,7 @@ def _match_attributes(top: Usd.Prim, patterns: Sequence[str], path: Path) -> tup
 def control_attribute(top: Usd.Prim, name: str, path: Path) -> Usd.Attribute:
     """Return the attribute of a control's name, relative to a character's top prim."""
     _, dot, attribute_name = name.rpartition(".")
-    target = _attribute_path(top.GetPath(), name) if dot else None
+    target = attribute_path(top.GetPath(), name) if dot else None
     if target is None:
         raise InputError(
             f"{path}: {name!r} names no attribute; write PRIM.ATTRIBUTE, the prim's path taken "
@@ -86,7 +86,7 @@ def control_attribute(top: Usd.Prim, name: str, path: Path) -> Usd.Attribute:
     return attribute
 
 
-def _attribute_path(top: Sdf.Path, name: str) -> Sdf.Path | None:
+def attribute_path(top: Sdf.Path, name: str) -> Sdf.Path | None:
     """Return a control's property path below a top prim; None if the name is invalid."""
     place, _, attribute = name.rpartition(".")
     if not Sdf.Path.IsValidNamespacedIdentifier(attribute):
