@@ -60,7 +60,8 @@ def join_movies(
         except (av.error.FFmpegError, OSError, ValueError) as error:
             which = f"{parts[0]} and those after it" if len(parts) > 1 else str(parts[0])
             raise InputError(
-                f"{path}: {which} cannot be joined ({error}); make them anew"
+                f"{path}: {which} cannot be joined ({error}); make them anew, or free the "
+                "disk if it is full"
             ) from error
 
 
