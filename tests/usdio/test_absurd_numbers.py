@@ -163,6 +163,7 @@ def test_a_match_that_is_none(tmp_path: Path, name: str, kind: object, value: ob
     write_matches(
         path,
         (SequenceMatch(tmp_path / "joy.sequence.usda", "joy", 10, 20, 0.1),),
+        rate=Fraction(24),
         provenance=Provenance(),
     )
 

@@ -1,6 +1,7 @@
 """Pairs, retargetings, sequences and matches to disk and back; what is wrong with them is named."""
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -261,7 +262,12 @@ def test_matches_come_back_and_deactivated_ones_do_not(tmp_path: Path) -> None:
     matches = tuple(
         SequenceMatch(tmp_path / "s.usda", "joy", first, first + 19, 0.1) for first in (10, 50)
     )
-    write_matches(tmp_path / "m.usda", matches, provenance=Provenance())
+    write_matches(tmp_path / "m.usda", matches, rate=Fraction(30), provenance=Provenance())
+    assert len(read_matches(tmp_path / "m.usda", rate=Fraction(30))) == 2
+    with pytest.raises(
+        InputError, match="of a take with 30 per second, not 60; find the sequences"
+    ):
+        read_matches(tmp_path / "m.usda", rate=Fraction(60))
     assert [vars(m) | {"sequence": 0} for m in read_matches(tmp_path / "m.usda")] == [
         vars(m) | {"sequence": 0} for m in matches
     ]

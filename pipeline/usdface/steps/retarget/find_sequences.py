@@ -44,7 +44,7 @@ def run(spec: FindSequencesSpec, *, provenance: Provenance, progress: Progress) 
         "larger distance than the sequence kept there"
         for d in dropped
     ]
-    write_matches(spec.out, kept, provenance=provenance)
+    write_matches(spec.out, kept, rate=motion.rate, provenance=provenance)
     return StepResult(
         (spec.out,),
         f"{pluralize(len(sequences), 'sequence')} at {pluralize(len(kept), 'place')} in "

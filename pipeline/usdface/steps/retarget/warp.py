@@ -153,7 +153,7 @@ def _figures_outside(
 
 
 def _placements(spec: WarpSpec, read: ControlClip) -> list[_Placement]:
-    matches = read_matches(spec.matches)
+    matches = read_matches(spec.matches, rate=read.rate)
     if not matches:
         raise InputError(
             f"{spec.matches}: holds no active match; find sequences again or activate one"

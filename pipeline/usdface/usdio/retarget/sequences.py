@@ -1,5 +1,6 @@
 """Emotional sequences, and their occurrences in takes."""
 
+import math
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -113,12 +114,16 @@ def _read_side(stage: Usd.Stage, place: Sdf.Path, path: Path) -> tuple[Controls,
 
 
 def write_matches(
-    path: Path, matches: tuple[SequenceMatch, ...], *, provenance: Provenance
+    path: Path, matches: tuple[SequenceMatch, ...], *, rate: Fraction, provenance: Provenance
 ) -> None:
-    """Write occurrences of sequences, one prim each, which can be deactivated or edited."""
+    """Write occurrences of sequences, one prim each, which can be deactivated or edited.
+
+    `rate`: of the frames, per second.
+    """
     kinds = Sdf.ValueTypeNames
     with new_layer(path, provenance) as layer:
         author_units(layer)
+        layer.timeCodesPerSecond = layer.framesPerSecond = float(rate)
         layer.defaultPrim = MATCHES.name
         define_prim(layer, MATCHES, "Scope")
         for number, match in enumerate(matches, start=1):
@@ -136,9 +141,16 @@ def write_matches(
 
 
 @refusing_wrong_types
-def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
-    """Read the active matches."""
+def read_matches(path: Path, *, rate: Fraction | None = None) -> tuple[SequenceMatch, ...]:
+    """Read the active matches; refuse those of another rate, whose frames are others."""
     stage = open_stage(path)
+    counted = stage.GetTimeCodesPerSecond()
+    stated = stage.HasAuthoredMetadata("timeCodesPerSecond")  # not by earlier versions
+    if rate is not None and stated and not math.isclose(counted, rate, rel_tol=1e-6):
+        raise InputError(
+            f"{path}: its frames are of a take with {counted:g} per second, not {float(rate):g}; "
+            "find the sequences in the source of this performance"
+        )
     root = stage.GetPrimAtPath(MATCHES)
     if not root:
         raise InputError(f"{path}: no </Matches>; make the file with `usdface find-sequences`")
