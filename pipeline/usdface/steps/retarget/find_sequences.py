@@ -84,17 +84,20 @@ def _read_sequences(
             known = ", ".join(sorted({each.label for _, each in sequences}))
             raise InputError(f"no sequence is labelled {label!r}; there are {known}")
         sequences = wanted
-    longer = [
-        f"{path}: the sequence {each.label!r} is {len(each.source)} frames long, and {spec.source} "
-        f"has {len(motion.weights)} ({motion.first_frame}-{motion.last_frame}); search a longer "
-        "take or shorten the sequence"
-        for path, each in sequences
-        if len(each.source) > len(motion.weights)
-    ]
-    if len(longer) == len(sequences):
-        raise InputError(longer[0])
-    fitting = [each for each in sequences if len(each[1].source) <= len(motion.weights)]
-    return fitting, [*(note for path, _ in fitting if (note := read[path][1])), *longer]
+    count, fitting = len(motion.weights), []
+    notes: list[str] = []
+    for path, sequence in sequences:
+        if len(sequence.source) <= count:
+            fitting.append((path, sequence))
+            notes += filter(None, [read[path][1]])
+        else:
+            notes.append(
+                f"{path}: the sequence {sequence.label!r} is {len(sequence.source)} frames long, "
+                f"and {spec.source} has {count}; search a longer take or shorten the sequence"
+            )
+    if not fitting:
+        raise InputError(notes[0])
+    return fitting, notes
 
 
 def _find(

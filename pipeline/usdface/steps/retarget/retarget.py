@@ -170,7 +170,6 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
             return _Target(rig, None, transfer, notes, unmatched, surfaces=correspond(source, rig))
         motion = replace(motion, driven=motion.driven | rig.logic.driven)
         transfer, notes = source_transfer(spec.source, motion, rig.shapes, spec.names)
-        notes = (*notes, *_beyond(rig, motion, transfer))
         return _Target(rig, None, transfer, notes, unmatched_moving(transfer, motion))
     path = spec.retargeting[index]
     trained = read_retargeting(path)
@@ -303,55 +302,31 @@ def _unspanned(trained: Retargeting, source: FloatArray) -> list[str]:
     ]
 
 
-def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
-    """Return a note on shapes that exceed their range as several sources add up on them."""
-    several = (transfer.matrix != 0).sum(axis=0) > 1
-    if not several.any():
-        return []
-    sums = (motion.weights @ transfer.matrix).max(axis=0, initial=0.0)
-    return _exceeding(
-        rig.shapes,
-        rig.ranges,
-        np.where(several, [rig.ranges[:, 0], sums], rig.ranges.T),
-        cause="several source shapes add up on",
-        remedy="MetaHuman's rig clamps its controls, for other rigs lower the weights with --names",
-    )
-
-
 def _unlimited(target: _Target, extremes: FloatArray) -> list[str]:
-    """Return a note on controls that pairs or positions drive beyond their range."""
-    if target.surfaces is not None:
-        return _exceeding(
-            target.rig.shapes,
-            target.rig.ranges,
-            extremes,
-            cause="positions, which are matched without an upper limit, drive",
-            remedy="train on pairs, or `bake --limit`",
+    """Return a note on controls that exceed their range, or would without limits."""
+    names, ranges = target.rig.shapes, target.rig.ranges
+    if target.trained is not None:
+        names, ranges = space_of(target.trained).names, target.trained.ranges
+        cause = "expressions that add up would drive"
+        remedy = (
+            "cut there, at the range of rig and pairs: key pairs of such expressions, or a pair "
+            "with the full motion"
         )
-    if target.trained is None:
-        return []
-    return _exceeding(
-        space_of(target.trained).names,
-        target.trained.ranges,
-        extremes,
-        cause="expressions that add up would drive",
-        remedy="cut there, at the range of rig and pairs: key pairs of such expressions, or a pair "
-        "with the full motion",
-    )
-
-
-def _exceeding(
-    names: tuple[str, ...], ranges: FloatArray, extremes: FloatArray, *, cause: str, remedy: str
-) -> list[str]:
-    """Return a note on the controls whose least or largest value, (2, k), exceeds their range."""
+    elif target.surfaces is not None:
+        cause = "positions, which are matched without an upper limit, drive"
+        remedy = "train on pairs, or `bake --limit`"
+    else:
+        extremes = np.where((target.transfer.matrix != 0).sum(axis=0) > 1, extremes, ranges.T)
+        cause = "several source shapes add up on"
+        remedy = (
+            "MetaHuman's rig clamps its controls, for other rigs lower the weights with --names"
+        )
     low, high = ranges.T
     below = np.where(low == 0, 0, low - extremes[0])  # below 0 overshoots rest, and is cut rightly
     beyond = np.maximum(below, extremes[1] - high) / np.maximum(high - low, 1e-9)
     above = np.flatnonzero(beyond > _CUT_SHARE).tolist()
     if not above:
         return []
+    listed = first_few([f"{names[i]} (by {beyond[i]:.0%})" for i in above], most=3)
     whose = "its" if len(above) == 1 else "their"
-    return [
-        f"{cause} {pluralize(len(above), 'control')} beyond {whose} range: "
-        f"{first_few([f'{names[i]} (by {beyond[i]:.0%})' for i in above], most=3)}; {remedy}"
-    ]
+    return [f"{cause} {pluralize(len(above), 'control')} beyond {whose} range: {listed}; {remedy}"]

@@ -158,15 +158,11 @@ def read_matches(path: Path, *, rate: Fraction | None = None) -> tuple[SequenceM
     for prim in root.GetChildren():
         if not prim.HasAPI("FaceMatchAPI"):
             continue
-        values = {
-            name: prim.GetAttribute(f"face:match:{name}").Get()
+        asset, first, last = (
+            prim.GetAttribute(f"face:match:{name}").Get()
             for name in ("sequence", "firstFrame", "lastFrame")
-        }
-        absent = [name for name, value in values.items() if value is None]
-        if absent:
-            raise InputError(f"{path} <{prim.GetPath()}>: face:match:{absent[0]} has no value")
-        asset, first, last = values["sequence"], int(values["firstFrame"]), int(values["lastFrame"])
-        if not isinstance(asset, Sdf.AssetPath) or last < first:
+        )
+        if not isinstance(asset, Sdf.AssetPath) or None in (first, last) or last < first:
             raise InputError(
                 f"{path} <{prim.GetPath()}>: frames {first}-{last} of {asset!s} are no match of a "
                 "sequence; correct it, or find sequences again"
@@ -175,8 +171,8 @@ def read_matches(path: Path, *, rate: Fraction | None = None) -> tuple[SequenceM
             SequenceMatch(
                 sequence=path.parent / asset.path,
                 label=text_of(prim, "face:match:label"),
-                first_frame=first,
-                last_frame=last,
+                first_frame=int(first),
+                last_frame=int(last),
                 distance=float(prim.GetAttribute("face:match:distance").Get() or 0.0),
             )
         )
