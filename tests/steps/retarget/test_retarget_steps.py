@@ -675,6 +675,13 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     assert "Do not use" in told
 
 
+def test_bake_names_the_layer_of_joints_and_attributes(performed: Stall, capsys) -> None:
+    assert usdface("bake", "beast.shot.usda", "--out", "baked.usdc") == 0
+    assert "only weights are baked: beast.shot.controls.usdc" in capsys.readouterr().out
+    assert usdface("bake", "shot.usda", "--out", "human.usdc") == 0
+    assert "only weights" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("side", ["source", "target"])
 def test_a_sequence_of_one_frame_names_the_option(stall: Stall, capsys, side: str) -> None:
     line = "make-sequence --source shot.usda --target beast_poses.usda --label joy --out j.usda"

@@ -1,6 +1,7 @@
 """Compose solve and edits into the layer of weights to publish."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -9,11 +10,13 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import controls_path, head_path
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import Deviation, reduce_keys
 from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec
 from usdface.usdio.authoring import text_of
+from usdface.usdio.performance.driving_layers import opens_layer
 from usdface.usdio.performance.edits import edited_weights
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import writing_weights
@@ -44,7 +47,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             writer.append(weights, reader.figures(first, last), keys=keys)
             done = last - reader.first_frame + 1
             progress(done / header.frame_count, f"baked to frame {last}")
-    notes = _left_out(reader)
+    notes = [*_left_out(reader), *_driving_notes(spec.performance)]
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(
@@ -60,6 +63,16 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
         tuple(notes),
         {"frames": header.frame_count, "keys": kept, "edited_shapes": edited},
     )
+
+
+def _driving_notes(performance: Path) -> list[str]:
+    """Return notes on the layers of joints and attributes, which a layer of weights lacks."""
+    layers = (head_path(performance), controls_path(performance))
+    return [
+        f"only weights are baked: {each.name} moves joints or attributes; sublayer it as well"
+        for each in layers
+        if opens_layer(performance, each)
+    ]
 
 
 def _left_out(reader: PerformanceReader) -> list[str]:
