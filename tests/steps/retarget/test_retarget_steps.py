@@ -678,6 +678,8 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
 def test_bake_names_the_layer_of_joints_and_attributes(performed: Stall, capsys) -> None:
     assert usdface("bake", "beast.shot.usda", "--out", "baked.usdc") == 0
     assert "only weights are baked: beast.shot.controls.usdc" in capsys.readouterr().out
+    assert usdface("edits", "import", "beast.shot.usda", "--changed", "baked.usdc") == 0
+    assert "changes of joints and attributes are not imported" in capsys.readouterr().out
     assert usdface("bake", "shot.usda", "--out", "human.usdc") == 0
     assert "only weights" not in capsys.readouterr().out
 

@@ -6,6 +6,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import controls_path
 from usdface.core.text import pluralize
 from usdface.numerics.motion.key_reduction import EditCurve, no_edit
 from usdface.runner.origin import take_name
@@ -19,6 +20,7 @@ from usdface.steps.inputs.weight_tables import (
     read_weight_table,
     undo_clamping,
 )
+from usdface.usdio.performance.driving_layers import opens_layer
 from usdface.usdio.performance.edits import (
     ShapeEdit,
     edited_weights,
@@ -65,6 +67,8 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
             f"{max(table.frames)}, the performance {reader.first_frame}-{reader.last_frame}; if "
             "its time is shifted, export it with the performance's first frame and import it again",
         )
+    if opens_layer(spec.performance, controls_path(spec.performance)):
+        notes += ("edits are of weights: changes of joints and attributes are not imported",)
     if not changed:
         return StepResult(
             (),
