@@ -72,6 +72,20 @@ def ends(group: int) -> bool:
     return False
 
 
+def test_an_interrupted_command_leaves_no_warning_of_its_processes(tmp_path: Path) -> None:
+    (tmp_path / "ending.py").write_text(
+        "from usdface.cli.console import exit_at_once\n"
+        "from usdface.core.processes import worker_processes\n"
+        "with worker_processes(1, print) as give_work:\n"
+        "    give_work(abs, -1).result()\n"
+        "    kept = give_work\n"
+        "exit_at_once(3)\n"
+    )
+    line = [sys.executable, str(tmp_path / "ending.py")]
+    ended = subprocess.run(line, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (3, "")
+
+
 def test_work_that_fails_is_raised_here() -> None:
     with (
         pytest.raises(ZeroDivisionError),

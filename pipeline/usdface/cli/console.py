@@ -262,6 +262,8 @@ def exit_at_once(code: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()
+    if "multiprocessing.util" in sys.modules:  # else its tracker warns of semaphores
+        sys.modules["multiprocessing.util"]._run_finalizers(0)
     os._exit(code)
 
 
