@@ -172,7 +172,7 @@ def _report(
     if left_out:
         notes.append(f"still left out: {counted(left_out, 'marker')}")
     if face.others:
-        notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} have no markers")
+        notes.append(f"other meshes of {spec.mesh.name}, which have no markers: {len(face.others)}")
     return StepResult(
         (*binding_layers(spec.out), *spec.paths_of("picture")),
         f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} of them "

@@ -294,7 +294,7 @@ def _bind(
             f"at uncertain places: {pluralize(doubtful, 'marker')}; check them with `usdface bind`"
         )
     if face.others:
-        notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} do not move")
+        notes.append(f"other meshes of {spec.mesh.name}, which do not move: {len(face.others)}")
     return binding, notes
 
 

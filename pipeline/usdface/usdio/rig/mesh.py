@@ -258,7 +258,7 @@ def _find_mesh(stage: Usd.Stage, path: Path, prim: str | None) -> tuple[Usd.Prim
         paths = first_few(f"<{each.GetPath()}> ({sizes[each]} points)" for each in named)
         raise InputError(
             f"{path}: holds {len(found)} meshes, {paths}; name the "
-            "one with the face's skin with --mesh-prim"
+            "one with the face's skin with --mesh-prim, or join them if they share it"
         )
     others = tuple(str(each.GetPath()) for each in every if each != found[0])
     return found[0], others
