@@ -451,6 +451,24 @@ def test_an_animation_changed_in_another_tool_comes_back_as_edits(shot: Shot) ->
     assert not any("mapped again" in note for note in report.notes)
 
 
+def test_a_file_whose_time_is_shifted_is_refused(shot: Shot) -> None:
+    path, dcc = shot / "shot.hero.usda", shot / "dcc.csv"
+    clip = read_weights(path)
+    changed = clip.values.copy()
+    changed[200:240, clip.names.index("jawOpen")] += 0.15
+    for later, fails in ((100, True), (0, False)):
+        rows = [[later + i + 1, *row] for i, row in enumerate(changed.tolist())]
+        with dcc.open("w", newline="") as stream:
+            csv.writer(stream).writerows([["frame", *clip.names], *rows])
+        if fails:
+            with pytest.raises(InputError, match="from frame 101 instead of 1; export it from"):
+                run(EditsImportSpec(performance=path, changed=dcc))
+            assert not (shot / "shot.hero.edits.usda").exists()
+        else:
+            run(EditsImportSpec(performance=path, changed=dcc))
+    np.testing.assert_allclose(read_weights(path).values, changed, atol=1e-6)
+
+
 def test_changed_weights_in_percent_without_frame_numbers_come_back(shot: Shot) -> None:
     path = shot / "shot.hero.usda"
     clip = read_weights(path)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
@@ -34,6 +34,10 @@ _LEAST_CHANGE = 0.002
 """Smallest difference in weight that counts as an edit; smaller ones are rounding."""
 
 
+_SAME_SHARE = 0.5
+"""Share of the frames that an animator leaves as they were."""
+
+
 def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Set edits so that the performance equals the file at its frames.
 
@@ -62,11 +66,7 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
     )
     outside = len(table.frames) - len(given)
     if outside:
-        notes += (
-            f"left out {pluralize(outside, 'frame')}: the file has {min(table.frames)}-"
-            f"{max(table.frames)}, the performance {reader.first_frame}-{reader.last_frame}; if "
-            "its time is shifted, export it with the performance's first frame and import it again",
-        )
+        notes += (f"left out {pluralize(outside, 'frame')} outside the performance",)
     if opens_layer(spec.performance, controls_path(spec.performance)):
         notes += ("edits are of weights: changes of joints and attributes are not imported",)
     if not changed:
@@ -78,6 +78,7 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
         )
     count = int(differing.sum())
     if 2 * count > len(given) > 1:
+        _check_not_moved(spec, reader, table, known)
         notes += (
             "most frames differ: between sparse keys the file's interpolation is imported, and if "
             "the take was mapped again after it was baked, the changes of the solve; key every "
@@ -94,6 +95,22 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
         notes,
         {"frames": count, "shapes": sorted(changed)},
     )
+
+
+def _check_not_moved(
+    spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable, known: list[str]
+) -> None:
+    """Refuse a file that most often equals the performance if both begin at the same time."""
+    own = columns_by_name(reader.edited(), reader.names, tuple(known))
+    rows = np.array(table.frames) - min(table.frames)
+    inside = rows < len(own)
+    moved = np.abs(table.columns(tuple(known))[inside] - own[rows[inside]]).max(axis=1)
+    if (moved < _LEAST_CHANGE).mean() > _SAME_SHARE:
+        raise InputError(
+            f"{spec.changed}: is {spec.performance.name} in another time, from frame "
+            f"{min(table.frames)} instead of {reader.first_frame}; export it from there, or import "
+            "it to the shot in which it plays"
+        )
 
 
 def _changes(
