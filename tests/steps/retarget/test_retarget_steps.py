@@ -882,7 +882,7 @@ def another_source(stall: Stall) -> str:
     ("fault", "message"),
     [
         (longer_than_the_take, "is 41 frames long, and brief.usda has 20"),
-        (target_longer_than_the_performance, "has 201 frames, more than beast.shot.usda"),
+        (target_longer_than_the_performance, "would replace frames"),
         (past_the_end, "would replace frames 150-339, but beast.shot.usda has 101-300"),
         (overlapping, "joy at 150-210 and joy at 180-240 overlap"),
         (all_deactivated, "holds no active match"),

@@ -17,7 +17,6 @@ from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec
 from usdface.usdio.authoring import text_of
 from usdface.usdio.performance.driving_layers import opens_layer
-from usdface.usdio.performance.edits import edited_weights
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import writing_weights
 from usdface.usdio.rig.reference import read_rig_of_stage
@@ -37,11 +36,12 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     missing = tuple(each for each in rig.combinations if each.shape not in reader.names)
     header = replace(reader.header, combinations=missing)
     kept = 0
+    ranges = dict(zip(rig.shapes, rig.ranges.tolist(), strict=True)) if spec.limit else None
     with writing_weights(spec.out, header, rig, provenance=provenance) as writer:
         surface = _Surface(rig, reader.names) if spec.unit == "mm" and spec.tolerance else None
         for first in range(reader.first_frame, reader.last_frame + 1, _BLOCK_FRAMES):
             last = min(first + _BLOCK_FRAMES - 1, reader.last_frame)
-            weights = baked_weights(reader, rig, first, last, limit=spec.limit)
+            weights = reader.edited(first, last, ranges=ranges).astype(np.float64)
             keys = _keys(spec, weights, surface)
             kept += len(keys)
             writer.append(weights, reader.figures(first, last), keys=keys)
@@ -91,27 +91,6 @@ def _left_out(reader: PerformanceReader) -> list[str]:
             "are interpolated; to keep them, author the capture's timeCodesPerSecond in that layer"
         )
     return notes
-
-
-def baked_weights(
-    reader: PerformanceReader, rig: Rig, first: int, last: int, *, limit: bool = False
-) -> FloatArray:
-    """Return the edited weights of some frames, with `limit` clamped to the rig's ranges."""
-    if not limit:
-        return reader.edited(first, last).astype(np.float64)
-    part = slice(first - reader.first_frame, last + 1 - reader.first_frame)
-    ranges = {
-        name: (float(low), float(high))
-        for name, (low, high) in zip(rig.shapes, rig.ranges, strict=True)
-    }
-    edits = {name: edit.during(part) for name, edit in reader.edits.items()}
-    return edited_weights(
-        reader.names,
-        reader.solved(first, last),
-        edits,
-        ranges=ranges,
-        combinations=rig.combinations,
-    )
 
 
 def _keys(spec: BakeSpec, weights: FloatArray, surface: "_Surface | None") -> IntArray:

@@ -169,11 +169,6 @@ def _placements(spec: WarpSpec, read: ControlClip) -> list[_Placement]:
         found = match.last_frame - match.first_frame + 1
         count = len(sequence.target) if spec.timing == "own" else found
         where = f"{match.sequence.name} at frame {match.first_frame}"
-        if count > last - first + 1:
-            raise InputError(
-                f"{where}: has {count} frames, more than {spec.performance} ({first}-{last}); "
-                "deactivate the match, or use --timing fit"
-            )
         stop = match.first_frame + count - 1
         if match.first_frame < first or stop > last:
             raise InputError(

@@ -176,7 +176,7 @@ def edited_weights(
     solved: FloatArray | Float32Array,
     edits: Mapping[str, ShapeEdit],
     *,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
+    ranges: Mapping[str, Sequence[float]] | None = None,
     combinations: Sequence[Combination] = (),
 ) -> FloatArray:
     """Return weights with edits applied, (frames, shapes) as `solved`.
@@ -192,7 +192,8 @@ def edited_weights(
             column, curve = names.index(name), edits[name].curve
             values = apply_edit(edited[:, column], curve)
             if ranges is not None and name in ranges:
-                values = np.clip(values, *ranges[name])
+                low, high = ranges[name]
+                values = np.clip(values, low, high)
             edited[curve.active, column] = values[curve.active]
 
     present = [name for name in names if name in edits]

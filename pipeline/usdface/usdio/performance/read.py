@@ -1,6 +1,7 @@
 """Reading of performances: solve, edits and rig."""
 
 import hashlib
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -240,15 +241,26 @@ class PerformanceReader:
             self.path, self._weights, frames, self.names, kind=np.float32, remedy=remedy
         )
 
-    def edited(self, first: int | None = None, last: int | None = None) -> Float32Array:
-        """Return the weights with edits, (frames, shapes) float32."""
+    def edited(
+        self,
+        first: int | None = None,
+        last: int | None = None,
+        *,
+        ranges: Mapping[str, Sequence[float]] | None = None,
+    ) -> Float32Array:
+        """Return the weights with edits, (frames, shapes) float32.
+
+        `ranges`: to which edited frames are limited.
+        """
         values = self.solved(first, last)
         if not self.edits:
             return values
         start = (self.first_frame if first is None else first) - self.first_frame
         part = slice(start, start + len(values))
         edits = {name: edit.during(part) for name, edit in self.edits.items()}
-        made = edited_weights(self.names, values, edits, combinations=self.combinations)
+        made = edited_weights(
+            self.names, values, edits, ranges=ranges, combinations=self.combinations
+        )
         return made.astype(np.float32)
 
     @refusing_wrong_types
