@@ -110,6 +110,13 @@ def medians_where(values: RealArray, mask: BoolArray) -> FloatArray:
     return np.array([np.median(column[ok]) if ok.any() else 0.0 for column, ok in columns], float)
 
 
+def median_places(positions: RealArray, seen: BoolArray) -> FloatArray:
+    """Return the median place of each marker over the frames in which it is seen: (markers, 3)."""
+    tracks = zip(np.swapaxes(positions, 0, 1), seen.T, strict=True)
+    places = [np.median(track[ok].astype(np.float64), axis=0) for track, ok in tracks]
+    return np.array(places).reshape(-1, 3)
+
+
 def first_largest(values: FloatArray) -> int:
     """Return the index of the largest value, the first of those equal within rounding.
 

@@ -217,6 +217,16 @@ def test_places_where_a_rigid_marker_was_last_seen_do_not_count() -> None:
     np.testing.assert_allclose(space.shift, 0.0, atol=0.05)
 
 
+@pytest.mark.parametrize("shown", [0, 2])
+def test_a_take_that_shows_too_few_markers_is_refused(shown: int) -> None:
+    face = synthetic_face()
+    visible = np.zeros((1200, len(face.names)), dtype=bool)
+    visible[:, :shown] = True
+    markers = markers_of(face, visible=visible, confidence=visible.astype(np.float32))
+    with pytest.raises(InputError, match=rf"have {shown} markers in common that are ever seen"):
+        find_head_space(face_of_mapping(trained()), markers, rate=60.0)
+
+
 def test_reapplied_markers_are_known_less_the_less_they_move() -> None:
     other = synthetic_face(noise=0.1, seed=1)
     away = np.random.default_rng(0).normal(0, 1.2, other.neutral.shape)

@@ -5,7 +5,14 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    median_places,
+    sample_frames,
+)
 from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
@@ -14,15 +21,12 @@ from usdface.model.mapping.take_neutral import MIN_OFFSET_MM, TakeNeutral, compa
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.pose_error import PoseErrors, observed_motion
-from usdface.numerics.rigid.rigid_alignment import align_rigid, optimal_rotations
+from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID, align_rigid, optimal_rotations
 from usdface.numerics.rigid.rigid_template import RigidTemplate
 
 MINIMUM_SHARE = 0.5
 """Share of the mapping's markers that a take must have: with fewer, most of the face is unobserved.
 """
-
-MINIMUM_RIGID = 3
-"""Fewest rigid markers, as a rotation requires."""
 
 RIGID_TOLERANCE_MM = 5.0
 """Largest median distance of the rigid markers from the performer's after alignment."""
@@ -82,9 +86,8 @@ class HeadSpace:
     shift: FloatArray
     """(3,) [mm]"""
     missing: tuple[str, ...]
-    """Markers of the mapping that the take lacks."""
     extra: tuple[str, ...]
-    """Markers of the take that the mapping lacks; ignored."""
+    """`missing`, `extra`: Markers that the take lacks, and those that the mapping lacks."""
     neutral: TakeNeutral
     """Of the take, in the mapping's order and head space."""
     known_share: FloatArray | float = 1.0
@@ -182,9 +185,8 @@ def find_head_space(
     slots, columns = _common_markers(face, markers)
     count = len(face.marker_names)
     positions, visible = _in_order(markers, columns, slots, count)
-    template = None
+    rigid, template = np.flatnonzero(np.isin(face.marker_names, face.rigid)), None
     if set(markers.rigid) != set(face.rigid):
-        rigid = np.flatnonzero(np.isin(face.marker_names, face.rigid))
         template = RigidTemplate.from_sample(positions, visible, rigid)
     if template is not None:
         positions = template.align(positions, visible)
@@ -327,17 +329,17 @@ def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolAr
     # Medians over whole takes, as a single neutral frame is noisy.
     common = np.flatnonzero(visible.any(axis=0) & face.usable.any(axis=0))
     target, median = (
-        np.array([np.median(points[seen[:, i], i].astype(np.float64), axis=0) for i in common])
+        median_places(points[:, common], seen[:, common])
         for points, seen in ((face.frames, face.usable), (positions, visible))
     )
     names = np.array(face.marker_names)[common]
     rigid = np.isin(names, face.rigid)
     is_determined = align_rigid(target[None, rigid], target[rigid]).determined[0]
     used = rigid if is_determined else np.ones(len(common), np.bool_)
-    if used.sum() < MINIMUM_RIGID:
+    if used.sum() < FEWEST_RIGID:
         raise InputError(
             f"the take and those of the mapping have {used.sum()} markers in common that are "
-            f"ever seen, at least {MINIMUM_RIGID} are needed to find its head space"
+            f"ever seen, at least {FEWEST_RIGID} are needed to find its head space"
         )
     rotation, shift = _robust_transform(median[used], target[used])
     away = np.linalg.norm(median @ rotation.T + shift - target, axis=1)

@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike
 from usdface.core.arrays import BoolArray, FloatArray, RealArray, frame_blocks
 from usdface.core.processes import map_threads
 
+FEWEST_RIGID = 3
+"""Points that determine a rotation."""
+
 _CHUNK_FRAMES = 1024
 """The working arrays of 100 points fit in the cache."""
 _RANK_TOLERANCE = 1e-3
@@ -106,7 +109,7 @@ def align_rigid(
         covariance = moments[:, :, :3] - x_center[:, :, None] * y_center[:, None]
         # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
         R, known = optimal_rotations(covariance, rank_tolerance=_RANK_TOLERANCE)
-        known &= points.shape[1] - unused.sum(axis=1) >= 3
+        known &= points.shape[1] - unused.sum(axis=1) >= FEWEST_RIGID
         R[~known] = np.eye(3)
         rotations[rows], determined[rows] = R, known
         translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)

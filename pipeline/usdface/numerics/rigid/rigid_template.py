@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, median_places
 from usdface.numerics.rigid.rigid_alignment import align_rigid, align_rigid_robust, remove_motion
 
 _OUTLIER_WEIGHT = 0.25
@@ -34,8 +34,7 @@ class RigidTemplate:
         """
         columns = columns[visible[:, columns].any(axis=0)]
         seen, body = visible[:, columns], positions[:, columns]
-        tracks = zip(np.swapaxes(body, 0, 1), seen.T, strict=True)
-        places = np.array([np.median(track[ok], axis=0) for track, ok in tracks]).reshape(-1, 3)
+        places = median_places(body, seen)
         weights = align_rigid_robust(body, places, visible=seen).weights
         kept = weights.sum(axis=0) >= _OUTLIER_WEIGHT * seen.sum(axis=0)
         template = cls(columns[kept], places[kept])

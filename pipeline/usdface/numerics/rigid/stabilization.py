@@ -24,6 +24,7 @@ from usdface.core.arrays import (
     IntArray,
     RealArray,
     equal_rows,
+    median_places,
     rms_radius,
     sample_frames,
 )
@@ -244,8 +245,7 @@ def _mean_shape(
         )
         still, known = remove_motion(body[rows], first), seen[rows] & first.determined[:, None]
         if known.any(axis=0).all():
-            tracks = zip(np.swapaxes(still, 0, 1), known.T, strict=True)
-            return np.stack([np.median(track[ok], axis=0) for track, ok in tracks])
+            return median_places(still, known)
     if not first.determined.any():
         raise ValueError(
             f"no frame of {len(body)} shows three of the {body.shape[1]} rigid markers off one "

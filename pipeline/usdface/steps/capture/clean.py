@@ -20,6 +20,7 @@ from usdface.model.placement.label_hints import (
     skin_motion_mm,
 )
 from usdface.numerics.repair.cleaning import clean_markers
+from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID
 from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
@@ -28,7 +29,7 @@ from usdface.steps.capture.clean_notes import (
     cleaning_notes,
     cleaning_summary,
 )
-from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, check_neutral_frame
+from usdface.steps.inputs.cleaned_takes import check_neutral_frame
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 

@@ -15,6 +15,7 @@ from usdface.model.mapping.take_neutral import TakeNeutral
 from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.model.placement.rig_orientation import check_rig_upright, covered_face_notes
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
+from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID
 from usdface.usdio.take.read import TakeReader, read_take
 
 
@@ -59,8 +60,6 @@ def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
     return markers
 
 
-FEWEST_RIGID = 3
-"""Markers needed for the head's pose."""
 _HEAD_SPACE_FRAMES = 2000
 """Frames used to find the head space of several takes, evenly spread."""
 _COMPARED_FRAMES = 20_000

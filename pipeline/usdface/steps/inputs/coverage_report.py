@@ -24,7 +24,8 @@ from usdface.model.selection.coverage import (
     measure_growth,
 )
 from usdface.model.selection.design import features_at
-from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
+from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID
+from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.placement import stored_placement
 from usdface.steps.inputs.scene import (
     SelectionScene,
