@@ -80,14 +80,6 @@ def test_a_label_that_jumps_to_a_lost_marker_is_put_back(swapped):
     assert found == [(*sorted((4, other)), swapped.start, swapped.stop)]
 
 
-def test_a_label_that_is_elsewhere_for_seconds_is_an_outlier():
-    face = simulate_face(frames=1500)
-    captured = face.captured.copy()
-    captured[500:700, 4] += [25.0, 10.0, 5.0]
-    cleaned = clean_markers(captured, face.visible, rigid=face.rigid, neutral=0)
-    np.testing.assert_array_equal(np.flatnonzero(cleaned.outliers[:, 4]), np.arange(500, 700))
-
-
 @pytest.mark.parametrize("hidden", [0, 10])
 def test_swapped_labels_of_opposite_sides_are_put_back(hidden):
     face = simulate_face(frames=1500)

@@ -68,6 +68,7 @@ _PLACE_REACH_FRAMES = 2
 _JUMP_MEDIAN_STEPS = 12.0
 _JUMP_NOISE_DEVIATIONS = 8.0
 """A step larger than both is a jump."""
+_LONGEST_SPIKE_FRAMES = 150
 _RETURN_COSINE = -0.5
 """Largest cosine between a jump and the jump back."""
 _SPIKE_MOST_SHARE = 0.3
@@ -337,7 +338,8 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
         track = np.zeros(len(seen), bool)
         for (_, leave, out), (back, _, home) in pairwise(joined):
             lengths = float(np.linalg.norm(out) * np.linalg.norm(home))
-            if out @ home < _RETURN_COSINE * lengths:
+            short = frames[back] - frames[leave] < _LONGEST_SPIKE_FRAMES
+            if out @ home < _RETURN_COSINE * lengths and short:
                 track[frames[leave] : frames[back] + 1] = True
         if (track & seen).sum() <= _SPIKE_MOST_SHARE * len(frames):
             spikes[:, marker] = track & seen
