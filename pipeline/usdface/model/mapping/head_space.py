@@ -130,7 +130,7 @@ class HeadSpace:
     def restore(self, positions: FloatArray) -> FloatArray:
         """Transform positions (..., markers, 3) [mm] back to the take's space.
 
-        Errors of its poses are not restored.
+        Errors of its poses, and frames before their alignment by `template`, are not restored.
         """
         moved = (positions + self.neutral.offset - self.shift) @ self.rotation
         return np.asarray(moved + self.pair_offset)

@@ -33,9 +33,9 @@ from usdface.usdio.performance.read import PerformanceReader
 _LEAST_CHANGE = 0.002
 """Smallest difference in weight that counts as an edit; smaller ones are rounding."""
 
-
 _SAME_SHARE = 0.5
-"""Share of the frames that an animator leaves as they were."""
+"""Share of the frames above which a file that starts elsewhere is the performance, moved in time.
+"""
 
 
 def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
