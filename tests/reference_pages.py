@@ -10,7 +10,7 @@ from typing import Any, Literal
 import typer
 from pxr import Sdf
 
-from usdface.cli.app import app
+from usdface.cli.app import make_app
 from usdface.cli.command_list import EPILOG
 from usdface.cli.spec_options import COMMON_OPTIONS
 from usdface.specs.base import Spec
@@ -38,7 +38,7 @@ def reference_pages(usd_schema: Path) -> dict[str, str]:
 
 def _command_line() -> dict[str, str]:
     """Return a page for each command, and one that lists them."""
-    commands = sorted(_commands(app, "usdface"))
+    commands = sorted(_commands(make_app(), "usdface"))
     parts = [
         "# The command line",
         GENERATED,

@@ -63,7 +63,7 @@ def test_specs_import_without_numpy_or_usd() -> None:
 
 def test_help_does_not_wait_for_usd_or_scipy() -> None:
     script = (
-        "import sys; from usdface.cli.app import app; "
+        "import sys; from usdface.cli.app import make_app; make_app(); "
         "print(sorted({'pxr', 'scipy', 'av', 'embreex'} & set(sys.modules)))"
     )
     found = subprocess.run(

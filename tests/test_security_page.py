@@ -3,14 +3,14 @@
 import re
 
 from tests.regenerate import REPOSITORY
-from usdface.cli.app import app
+from usdface.cli.app import make_app
 
 PAGE = (REPOSITORY / "docs" / "security.md").read_text("utf-8")
 
 
 def every_command() -> set[str]:
     found = set()
-    for name, command in app.commands.items():
+    for name, command in make_app().commands.items():
         below = getattr(command, "commands", None)
         found |= {f"{name} {each}" for each in below} if below else {name}
     return found

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -13,7 +14,7 @@ from typer.core import TyperGroup
 
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
-from usdface.cli.app import app
+from usdface.cli.app import make_app
 from usdface.cli.command_list import HEADINGS
 from usdface.cli.console import show_result
 from usdface.core.errors import InputError
@@ -54,7 +55,7 @@ def test_the_installed_command_tells_its_version() -> None:
 GROUPS = ("references", "pairs", "edits")
 
 
-@pytest.mark.parametrize("command", sorted(set(app.commands) - set(GROUPS)))
+@pytest.mark.parametrize("command", sorted(set(make_app().commands) - set(GROUPS)))
 def test_every_command_answers_help_with_an_example(command: str, capsys) -> None:
     assert run(command, "--help") == 0
     told = capsys.readouterr().out
@@ -212,7 +213,7 @@ def test_a_log_gets_a_line_of_progress_now_and_then(monkeypatch, capsys) -> None
 
 
 def test_every_command_is_listed_under_a_heading() -> None:
-    group = app
+    group = make_app()
     assert isinstance(group, TyperGroup)
     assert {command.rich_help_panel for command in group.commands.values()} == set(HEADINGS)
 
@@ -226,7 +227,7 @@ def test_a_list_of_commands_says_what_each_says_of_itself(capsys) -> None:
     """Whole summaries, which click would cut to a line."""
     assert run("--help") == 0
     listed = " ".join(capsys.readouterr().out.split())
-    for name, command in app.commands.items():
+    for name, command in make_app().commands.items():
         assert f"{name} {command.get_short_help_str(500)}" in listed
 
 
@@ -432,3 +433,15 @@ def test_values_that_an_option_does_not_take_are_said_in_our_words(capsys) -> No
         told = capsys.readouterr().err
         assert words in told
         assert "Value error" not in told
+
+
+@pytest.mark.parametrize("command", sorted(make_app().commands))
+def test_a_command_by_itself_has_the_options_that_it_has_among_all(command: str) -> None:
+    def options(name: str, found: Any) -> dict[str, list[str]]:
+        inner = getattr(found, "commands", {})
+        own = {name: [each.name for each in found.params]}
+        return own | {k: v for n, c in inner.items() for k, v in options(f"{name} {n}", c).items()}
+
+    alone, among_all = make_app(command).commands, make_app().commands
+    assert list(alone) == [command]
+    assert options(command, alone[command]) == options(command, among_all[command])

@@ -5,6 +5,7 @@ import errno
 import os
 import sys
 import traceback
+from functools import cache
 from typing import Annotated, Any, NoReturn, cast
 
 import typer
@@ -47,7 +48,12 @@ _FUNCTIONS = {
 """Commands without a spec, by the workflow that they are listed under."""
 
 
-def _make_app() -> CommandList:
+@cache
+def make_app(only: str | None = None, *, listed: bool = False) -> CommandList:
+    """Return the command line.
+
+    Faster to make than all of it is one command (`only`), or a list without options (`listed`).
+    """
     made = typer.Typer(
         name="usdface",
         cls=CommandList,
@@ -60,10 +66,13 @@ def _make_app() -> CommandList:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     made.callback()(_top)
-    add_step_commands(made)["edits"].command("list", epilog=EPILOG)(list_edits)
+    groups = add_step_commands(made, only, listed=listed)
+    if "edits" in groups:
+        groups["edits"].command("list", epilog=EPILOG)(list_edits)
     for workflow, functions in _FUNCTIONS.items():
         for function in functions:
-            made.command(epilog=EPILOG, rich_help_panel=workflow)(function)
+            if only in (None, function.__name__):
+                made.command(epilog=EPILOG, rich_help_panel=workflow)(function)
     return cast(CommandList, get_command(made))
 
 
@@ -83,9 +92,6 @@ def _top(
     ] = False,
 ) -> None:
     set_up_logging(verbose=verbose)
-
-
-app = _make_app()
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -108,12 +114,19 @@ def _run(given: list[str]) -> NoReturn:
         completion_init()  # Typer does so only for apps that install completion themselves
     as_json = "--json" in given
     try:
-        code = app(args=given, standalone_mode=False)
+        code = _app_for(given)(args=given, standalone_mode=False)
     except (Exception, KeyboardInterrupt) as error:
         if was_stopped() and not isinstance(error, CancelledError | KeyboardInterrupt):
             error = CancelledError(INTERRUPTED_MESSAGE)
         _fail_by(error, verbose="--verbose" in given, as_json=as_json)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _app_for(given: list[str]) -> CommandList:
+    """Return the part of the command line that these arguments use."""
+    if given and (one := make_app(given[0])).commands:
+        return one
+    return make_app(listed=given in (["-h"], ["--help"]))
 
 
 def _fail_by(error: BaseException, *, verbose: bool, as_json: bool) -> NoReturn:

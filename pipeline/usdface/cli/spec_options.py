@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from usdface.cli.console import ProgressStyle
 from usdface.core.errors import InputError
-from usdface.specs.base import Positional, Spec
+from usdface.specs.base import Positional, Spec, field_help
 from usdface.specs.reading import validation_messages
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
@@ -58,20 +58,20 @@ SpecType = TypeVar("SpecType", bound=Spec)
 
 def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
     """Return the command-line parameters of a spec."""
-    parameters = []
+    parameters, texts = [], field_help(spec)
     for name, field in spec.model_fields.items():
         if name == "step":
             continue
         kind = _command_line_type(field.annotation)
         required = field.is_required()
         if any(isinstance(mark, Positional) for mark in field.metadata):
-            info: Any = typer.Argument(help=field.description, show_default=False)
+            info: Any = typer.Argument(help=texts.get(name), show_default=False)
         else:
             named = "<str,...>" if _is_list_of_names(field.annotation) else None
             flag = f"--{name.replace('_', '-')}"
             info = typer.Option(
                 f"{flag}/--no-{flag[2:]}" if field.annotation is bool else flag,
-                help=field.description,
+                help=texts.get(name),
                 metavar=named,
                 case_sensitive=False,
             )
@@ -96,14 +96,19 @@ def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
         raise InputError(validation_messages(error, spec)) from error
 
 
-def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.Parameter]) -> Any:
-    """Return a function with a spec's options and the common ones as its signature."""
+def command_of(
+    spec: type[Spec], run: Callable[..., None], common: list[inspect.Parameter] | None
+) -> Any:
+    """Return a function with a spec's options and the common ones as its signature.
+
+    If `common` is None, it has no options, and can be listed only.
+    """
 
     def command(**values: Any) -> None:
-        shared = {each.name: values.pop(each.name) for each in common}
+        shared = {each.name: values.pop(each.name) for each in common or ()}
         run(spec, values, **shared)
 
-    parameters = [*options_of(spec), *common]
+    parameters = [] if common is None else [*options_of(spec), *common]
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {each.name: each.annotation for each in parameters}
     command.__doc__ = help_of(spec)

@@ -188,36 +188,41 @@ GROUPS = {
 """Groups of commands: workflow and summary."""
 
 
-def add_step_commands(app: typer.Typer) -> dict[str, typer.Typer]:
-    """Add the commands of all specs; return the groups, of steps named ``GROUP-...``."""
+def add_step_commands(
+    app: typer.Typer, only: str | None = None, *, listed: bool = False
+) -> dict[str, typer.Typer]:
+    """Add the commands of all specs; return the groups, of steps named ``GROUP-...``.
+
+    Parameters
+    ----------
+    only : str, optional
+        The one command or group to add.
+    listed : bool
+        Whether the commands are listed, for which they need no options.
+    """
     groups = {
         name: typer.Typer(
             cls=CommandList, help=summary, no_args_is_help=True, rich_markup_mode=None
         )
         for name, (_, summary) in GROUPS.items()
+        if only in (None, name)
     }
+
+    def add(spec: type[Spec], run: Callable[..., None], common: list[inspect.Parameter]) -> None:
+        group, _, rest = spec.step_name().partition("-")
+        to, name = (groups.get(group), rest) if group in GROUPS else (app, spec.step_name())
+        if to is None or (to is app and only not in (None, name)):
+            return
+        function = command_of(spec, run, None if listed else common)
+        to.command(name, epilog=EPILOG, rich_help_panel=spec.workflow())(function)
+
     for spec in COMMAND_SPECS:
-        group, _, name = spec.step_name().partition("-")
-        if group in groups:
-            _add(groups[group], name, spec, _run_step, COMMON_OPTIONS)
-        else:
-            _add(app, spec.step_name(), spec, _run_step, COMMON_OPTIONS)
-    _add(app, "tune", TuneSpec, _tune, _shared("as_json"))
-    _add(app, "submit", SubmitSpec, _submit, _shared("overwrite", "as_json"))
+        add(spec, _run_step, COMMON_OPTIONS)
+    add(TuneSpec, _tune, _shared("as_json"))
+    add(SubmitSpec, _submit, _shared("overwrite", "as_json"))
     for name, made in groups.items():
         app.add_typer(made, name=name, rich_help_panel=GROUPS[name][0])
     return groups
-
-
-def _add(
-    to: typer.Typer,
-    name: str,
-    spec: type[Spec],
-    run: Callable[..., None],
-    common: list[inspect.Parameter],
-) -> None:
-    function = command_of(spec, run, common)
-    to.command(name, epilog=EPILOG, rich_help_panel=spec.workflow())(function)
 
 
 def _shared(*names: str) -> list[inspect.Parameter]:
