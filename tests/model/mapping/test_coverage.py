@@ -7,6 +7,7 @@ import numpy as np
 from tests.model.mapping.test_uncertainty import CHOSEN, NAMES, face_in_parts
 from tests.model.synthetic import SHAPES, SyntheticFace, references_of, sample_skin
 from usdface.core.assets import TrainedMapping
+from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.numerics.regression.reference_design import DesignKernel, posterior_shares
@@ -72,3 +73,16 @@ def test_the_share_left_over_is_the_posterior_variance_of_a_gaussian_process() -
     np.testing.assert_allclose(share, posterior / kernel.diagonal(rows), atol=1e-9)
     scaled = posterior_shares(DesignKernel.for_size(3e4), 100 * known, 100 * rows)[-1]
     np.testing.assert_allclose(scaled, share, atol=1e-9)  # of no unit
+
+
+def test_coverage_is_that_of_the_posterior_of_each_region() -> None:
+    rng = np.random.default_rng(1)
+    basis = rng.normal(size=(3, 4, 3))
+    pairs, frames = rng.normal(size=(6, 4, 3)), rng.normal(size=(9, 4, 3))
+    membership = np.array([[1.0, 1, 1, 1], [0, 1, 1, 0]])
+    coverage = CoverageModel(basis, pairs, membership).measure(frames)
+    for column, chosen in zip(coverage.T, membership > 0, strict=True):
+        kernel = DesignKernel.for_size((basis[:, chosen] ** 2).sum(axis=(1, 2)).mean())
+        known, rows = (each[:, chosen].reshape(len(each), -1) for each in (pairs, frames))
+        share = posterior_shares(kernel, known, rows)[-1]
+        np.testing.assert_allclose(column, 1 - np.sqrt(share), atol=1e-12)

@@ -20,7 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.regression.reference_design import DesignKernel, posterior_shares
+from usdface.numerics.regression.reference_design import (
+    DesignKernel,
+    cholesky_factor,
+    posterior_shares,
+)
 
 LEAST_COVERAGE = 0.75
 """Coverage from which a frame counts as covered: ``sqrt(v)`` of 1/4 or less."""
@@ -39,6 +43,8 @@ class _RegionCoverage:
     pairs: FloatArray
     """(pairs, 3 m): displacements of the references [mm]."""
     kernel: DesignKernel
+    whitening: FloatArray
+    """Inverse of the Cholesky factor of the references' covariance."""
 
 
 class CoverageModel:
@@ -67,7 +73,9 @@ class CoverageModel:
             return None
         full2 = float(size2[size2 > _MIN_SHAPE_SHARE * size2.max()].mean())
         rows = pairs[:, markers].reshape(len(pairs), 3 * len(markers))
-        return _RegionCoverage(markers, rows, DesignKernel.for_size(full2))
+        kernel = DesignKernel.for_size(full2)
+        whitening = np.asarray(np.linalg.inv(cholesky_factor(kernel, rows)))
+        return _RegionCoverage(markers, rows, kernel, whitening)
 
     def measure(self, displacements: FloatArray) -> FloatArray:
         """Return the coverage of frames.
@@ -83,8 +91,9 @@ class CoverageModel:
         for column, region in enumerate(self._regions):
             if region is not None:
                 rows = displacements[:, region.markers].reshape(len(displacements), -1)
-                share = posterior_shares(region.kernel, region.pairs, rows)[-1]
-                coverage[:, column] = 1 - np.sqrt(share)
+                white = region.whitening @ region.kernel(region.pairs, rows)
+                explained = np.einsum("nf,nf->f", white, white) / region.kernel.diagonal(rows)
+                coverage[:, column] = 1 - np.sqrt(np.maximum(1 - explained, 0.0))
         return coverage
 
     def growth(self, further: FloatArray, displacements: FloatArray) -> FloatArray:

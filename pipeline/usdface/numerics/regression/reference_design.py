@@ -66,6 +66,12 @@ class DesignKernel:
         return np.asarray(self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial)
 
 
+def cholesky_factor(kernel: DesignKernel, known: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor of the covariance of tuned frames, with their errors."""
+    covariance = kernel(known, known) + KEY_VARIANCE * np.eye(len(known))
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
 def posterior_shares(kernel: DesignKernel, known: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the posterior over the prior variance of every row, given tuned frames.
 
@@ -77,9 +83,8 @@ def posterior_shares(kernel: DesignKernel, known: FloatArray, rows: FloatArray) 
         Features of the tuned frames.
     rows : (frames, d) float array
     """
-    factor = np.linalg.cholesky(kernel(known, known) + KEY_VARIANCE * np.eye(len(known)))
     # Row i is what frame i explains given those before it.
-    explained = np.linalg.solve(factor, kernel(known, rows)) ** 2
+    explained = np.linalg.solve(cholesky_factor(kernel, known), kernel(known, rows)) ** 2
     shares = np.ones((len(known) + 1, len(rows)))
     shares[1:] -= np.cumsum(explained, axis=0) / kernel.diagonal(rows)
     return np.clip(shares, 0.0, 1.0)
