@@ -149,15 +149,17 @@ def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], 
     }
 
 
-def choose_references(folder: Path, rig_file: Path, count: int) -> Path:
-    references = folder / f"{count}.references.usda"
+def choose_references(
+    folder: Path, rig_file: Path, count: int, *, first: int = 1, out: Path | None = None
+) -> Path:
+    references = out or folder / f"{count}.references.usda"
     execute(
         SelectSpec(
             takes=(folder / "x.clean.take.usda",),
             rig=rig_file,
             out=references,
             count=count,
-            frames=f"1-{HALF}",
+            frames=f"{first}-{HALF}",
         )
     )
     execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
