@@ -333,3 +333,22 @@ def test_few_pairs_that_show_a_shape_determine_its_gain_less() -> None:
     shown = face.weights[CHOSEN[:3], 0] > 0.1
     assert shown.any()
     assert (spread[1] > 1.2 * spread[0])[shown].all()
+
+
+def test_errors_that_low_confidence_states_are_counted_once() -> None:
+    """Confidence explains the residual of markers that were applied again elsewhere."""
+    face, deviation_mm, skin = face_in_parts(noise=0.05), 0.8, slice(RIGID, None)
+    mapping = trained(face)
+    motion2 = FrameSolver.from_arrays(mapping.arrays).forward.motion2
+    confidence = np.ones(face.positions.shape[:2], dtype=np.float32)
+    confidence[:, skin] = np.clip(1 - 3 * deviation_mm**2 / motion2, 0.05, 1)[skin]
+    errors, stated = [], []
+    for seed in range(6):
+        moved = face.positions.copy()
+        draw = np.random.default_rng(seed).standard_normal(face.neutral.shape)
+        moved[:, skin] += deviation_mm * draw[skin]
+        found = predict_weights(mapping, moved, confidence=confidence)
+        errors.append(face_errors(face, found))
+        stated.append(found.uncertainty[:, 0])
+    assert np.mean(np.array(errors) <= LIMIT_DEVIATIONS * np.array(stated)) >= 0.9
+    assert np.mean(np.square(stated)) < 3.0**2 * np.mean(np.square(errors))

@@ -14,8 +14,9 @@ tongue, which no marker shows.
 The posterior covers visibility, distance from the references, and the error of the rig as a prior,
 but not motion that no weights explain. ``chi2_g`` is the squared residual at the solution relative
 to its expected value, averaged over the markers that the region's shapes move, and ``d_g^2`` the
-mean squared residual in excess of the expected one. With ``a`` the motion of the rig over that of
-the performer, the standard deviation is ::
+mean squared residual in excess of the expected one, which includes `FrameSolution.unknown2`, as
+``W`` does. With ``a`` the motion of the rig over that of the performer, the standard deviation
+is ::
 
     sigma_g = c_g sqrt(min(v_g (1 + chi2_g), max(v_g, tr(G_g V))) + (a d_g)^2),  v_g = tr(G_g D C D)
 
@@ -54,7 +55,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from usdface.core.arrays import Arrays, BoolArray, FloatArray, RealArray
+from usdface.core.arrays import Arrays, BoolArray, FloatArray
 from usdface.core.errors import InputError
 from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.forward_model import ForwardModel
@@ -166,7 +167,7 @@ class UncertaintyModel:
             covariance = solution.covariance(solver.forward.scales.curve)
             packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
             squared = covariance.reshape(len(visible), -1) @ packed.T
-        chi2, excess2 = self._residual_terms(solver, solution.residual, visible)
+        chi2, excess2 = self._residual_terms(solver, solution, visible)
         _, _, spread2, _ = solver.limiting_posteriors
         unknown = np.einsum("rss->rs", self.grams) @ spread2
         squared = np.minimum(squared * (1 + chi2), np.maximum(squared, unknown))
@@ -191,11 +192,12 @@ class UncertaintyModel:
         return np.asarray(np.exp(posteriors[0] + share * (posteriors[1] - posteriors[0])))
 
     def _residual_terms(
-        self, solver: FrameSolver, residual: RealArray, visible: BoolArray
+        self, solver: FrameSolver, solution: FrameSolution, visible: BoolArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return ``chi2_g`` and ``d_g^2`` [mm^2]: (frames, regions) each."""
-        squared = (residual.reshape(len(residual), -1, 3) ** 2).sum(axis=2)
-        expected = 3 * solver.residual_variance
+        squared = (solution.residual.reshape(len(visible), -1, 3) ** 2).sum(axis=2)
+        squared = np.maximum(squared, solution.unknown2)  # filled markers have the others' residual
+        expected = 3 * solver.residual_variance + solution.unknown2
         weight = np.einsum("rss->rs", self.grams) @ solver.marker_share
         share = weight / np.maximum(visible @ weight.T, 1e-12)[:, :, None]
         chi2, excess2 = (

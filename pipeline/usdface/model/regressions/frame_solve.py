@@ -91,6 +91,8 @@ class FrameSolution:
     """(frames, shapes): prior precision ``1 / sd^2`` after the last reweighting."""
     residual: RealArray
     """(frames, 3 markers): ``y - f(t)``; 0 where a marker is not visible [mm]."""
+    unknown2: RealArray
+    """(frames, markers): mean squared error of the markers by their confidence [mm^2]."""
     hessian: RealArray | None
     """(frames, shapes, shapes): of half the objective; None for rigs of many shapes."""
 
@@ -175,9 +177,10 @@ class FrameSolver:
         if bounded:
             step, precision = _minimise(likelihood, residual, precision, t0)
             targets = np.clip(t0 + step, 0.0, 1.0).astype(np.float64)
-        hessian = likelihood.hessian(precision)
+        hessian, unknown2 = likelihood.hessian(precision), np.zeros(visible.shape)
         if confidence is not None and (confidence[visible] < MEASURED_CONFIDENCE).any():
             rows = np.flatnonzero((visible & (confidence < MEASURED_CONFIDENCE)).any(axis=1))
+            unknown2[rows] = (1 - confidence[rows]) * self.forward.motion2
             predictive = np.broadcast_to(predictive, visible.shape)[rows]
             visibility = visible[rows] * self._visibility(predictive, confidence[rows])
             at_t0 = residual[rows] * np.repeat(visibility > 0, 3, axis=1)
@@ -187,7 +190,7 @@ class FrameSolver:
                 known = self._likelihood(slope[rows], visibility, predictive)
                 hessian[rows] = known.hessian(precision[rows])
         residual = np.where(seen, residual - likelihood.displacements(step), 0)
-        return FrameSolution(targets, precision, residual, hessian)
+        return FrameSolution(targets, precision, residual, unknown2, hessian)
 
     def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
         """Return the forward model's prediction and its Jacobian.
