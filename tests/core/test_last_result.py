@@ -1,5 +1,7 @@
 """A result is computed again if the content of an argument has changed, in place as well."""
 
+from functools import cached_property
+
 import numpy as np
 
 from usdface.core.last_result import cache_last_result
@@ -31,3 +33,27 @@ def test_sets_have_content() -> None:
 
     assert count(frozenset("ab")) == 2
     assert count(frozenset("abc")) == 3
+
+
+def test_cached_properties_are_not_content() -> None:
+    class Named:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        @cached_property
+        def size(self) -> int:
+            return len(self.name)
+
+    computed = []
+
+    @cache_last_result
+    def described(named: Named) -> str:
+        computed.append(named.name)
+        return named.name
+
+    one = Named("one")
+    described(one)
+    assert one.size == 3
+    described(one)
+    described(Named("two"))
+    assert computed == ["one", "two"]

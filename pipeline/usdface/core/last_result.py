@@ -1,7 +1,7 @@
 """A cache of one result, by the content of the arguments."""
 
-from collections.abc import Callable, Mapping
-from functools import wraps
+from collections.abc import Callable
+from functools import cached_property, wraps
 from hashlib import sha256
 from pathlib import Path
 from typing import ParamSpec, Protocol, TypeVar
@@ -30,10 +30,15 @@ def _add_content(digest: _Hash, content: object) -> None:
             _add_content(digest, each)
     elif isinstance(content, frozenset):
         _add_content(digest, sorted(content))
-    elif isinstance(content, Mapping):
-        _add_content(digest, list(content.items()))
+    elif isinstance(content, dict):
+        _add_content(digest, list(content))
+        _add_content(digest, list(content.values()))
     else:
-        _add_content(digest, vars(content))
+        for name, each in vars(content).items():
+            # Cached properties follow from the others, and may be computed or not.
+            if not isinstance(getattr(type(content), name, None), cached_property):
+                digest.update(name.encode())
+                _add_content(digest, each)
 
 
 def cache_last_result(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

@@ -50,6 +50,24 @@ def bent_equation(
     return equation, shapes
 
 
+def test_without_in_betweens_the_first_solve_is_the_solution() -> None:
+    equation, bent = bent_equation()
+    everywhere = np.arange(MARKERS)
+    tracks = [
+        ChannelKeys(channel, [Key(1.0, everywhere, offsets)])
+        for channel, offsets in enumerate(equation.deltas)
+    ]
+    straight = BlendShapes(MARKERS, 3, tracks)
+    assert straight.is_linear
+    assert not bent.is_linear
+    keys = MarkerKeys(equation.deltas, straight.key_channels, straight.key_weights)
+    seen = equation.neutral + straight.offsets(np.random.default_rng(3).random((20, 3))) + 0.3
+    once, again = (
+        replace(equation, keys=replace(keys, linear=each)).propose(seen) for each in (True, False)
+    )
+    np.testing.assert_allclose(once, again, atol=1e-9)
+
+
 def test_weights_explain_what_the_deformer_shows_in_betweens_included() -> None:
     equation, shapes = bent_equation()
     weights = np.random.default_rng(1).random((20, 3))

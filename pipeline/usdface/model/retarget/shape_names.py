@@ -68,6 +68,11 @@ class Meaning:
 
 def read_meanings(names: Sequence[str]) -> dict[str, Meaning]:
     """Return the meanings of the names of a rig, a take or a table."""
+    return dict(_meanings(tuple(names)))
+
+
+@functools.lru_cache(maxsize=8)  # selecting asks a dozen times for those of a rig's shapes
+def _meanings(names: tuple[str, ...]) -> dict[str, Meaning]:
     words = {name: _words(name) for name in names}
     corners = _corner_codes(words.values())
     head, tail = _constant_affixes(list(words.values()), corners)

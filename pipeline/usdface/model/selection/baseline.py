@@ -132,7 +132,9 @@ class BlendshapeEquation:
             visible=visible,
             marker_trust=self.trust,
             ridge=PROPOSAL_RIDGE,
-            keys=replace(self.keys, key_weights=partial(_full_key_weights, self.keys, full)),
+            keys=None
+            if self.keys.linear
+            else replace(self.keys, key_weights=partial(_full_key_weights, self.keys, full)),
             noise_mm=self.noise_mm,
             tied=() if self.lids is None else self.lids.tied,
         )
@@ -227,6 +229,7 @@ def equation_at(
         deltas=marker_deltas(virtual, deformer.shapes.key_offsets),
         channels=deformer.shapes.key_channels,
         key_weights=deformer.shapes.key_weights,
+        linear=deformer.shapes.is_linear,
     )
     trust = np.ones(len(neutral))
     trust[list(performer.rigid)] = 0.0

@@ -246,8 +246,9 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
     normals = triangle_normals(points, corners) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
-    by_axis = np.ascontiguousarray(np.moveaxis(deltas_at(matrix, corners, shares), 2, 1))
-    deltas = np.moveaxis((frame @ by_axis).astype(np.float32), 1, 2)
+    at_samples = deltas_at(matrix.astype(np.float32), corners, shares.astype(np.float32))
+    by_axis = np.ascontiguousarray(np.moveaxis(at_samples, 2, 1))
+    deltas = np.moveaxis(frame.astype(np.float32) @ by_axis, 1, 2)
     moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
     unit = rms_radius(skin.positions, moved) / TYPICAL_SIZE_MM
     positions = skin.positions @ frame.T / unit
@@ -282,14 +283,15 @@ def _shapes_that_deform(
     areas = np.repeat(triangle_areas(points, triangles) / 3, 3)
     area = np.bincount(triangles.ravel(), areas, minlength=len(points))
     most = np.asarray(abs(offsets).max(axis=1).toarray()).ravel()
-    moved = np.zeros(len(points), np.bool_)
-    for row, peak in enumerate(most.tolist()):
-        at = slice(*offsets.indptr[row : row + 2].tolist())
-        large = np.abs(offsets.data[at]) > _MOVED_SHARE * peak
-        moved[offsets.indices[at][large] // 3] = True
+    moved, point = np.zeros(len(points), np.bool_), offsets.indices // 3
+    large = np.abs(offsets.data) > _MOVED_SHARE * np.repeat(most, np.diff(offsets.indptr))
+    moved[point[large]] = True
     rest, weights = points[moved], area[moved]
     deform = most <= (np.ptp(rest, axis=0).max() if len(rest) else 0.0)
-    for row in np.flatnonzero(deform).tolist():
+    own_area = np.where(moved, area, 0.0)[point], offsets.indices, offsets.indptr
+    most_area = sparse.csr_array(own_area, shape=offsets.shape).sum(axis=1)  # by each coordinate
+    wide = 2 * most_area > weights.sum()
+    for row in np.flatnonzero(deform & wide).tolist():
         step = offsets[[row]].toarray().reshape(-1, 3)[moved]
         square = (step**2).sum(axis=1)
         if 2 * weights[square > (_MOVED_SHARE * most[row]) ** 2].sum() > weights.sum():

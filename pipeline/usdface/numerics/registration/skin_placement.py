@@ -18,7 +18,15 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    frame_blocks,
+)
+from usdface.core.processes import map_threads
 from usdface.numerics.registration.cloud_alignment import Alignment
 from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 from usdface.numerics.solve.bounded_least_squares import (
@@ -64,6 +72,9 @@ _GAIN_LIMITS = (0.5, 2.0)
 
 _RIDGE_MM2 = 25.0
 """(1.5 mm of noise / typical weight 0.3)^2."""
+
+_BLOCK_FRAMES = 40
+"""Frames per thread and task."""
 
 _NEAR_STEPS = 60
 """Iterations from the weights of the previous round."""
@@ -231,15 +242,21 @@ def solve_weights_at(
     lower, upper = (np.broadcast_to(limit, start.shape).astype(A.dtype) for limit in ranges.T)
     gram = A @ A.T + ridge * np.eye(len(A), dtype=A.dtype)
     few = len(A) < 2 * A.shape[1]  # shapes; the product with their Gram matrix takes less
-    return minimise_within_bounds(
-        (lambda z: z @ gram) if few else (lambda z: (z @ A) @ A.T + ridge * z),
-        np.broadcast_to(gram.diagonal(), start.shape),
-        flat.astype(A.dtype) @ A.T,
-        lower=lower,
-        upper=upper,
-        start=start.astype(A.dtype),
-        steps=_NEAR_STEPS,
-    ).astype(np.float64)
+    linear, near = flat.astype(A.dtype) @ A.T, start.astype(A.dtype)
+
+    def solve(rows: slice) -> RealArray:
+        return minimise_within_bounds(
+            (lambda z: z @ gram) if few else (lambda z: (z @ A) @ A.T + ridge * z),
+            np.broadcast_to(gram.diagonal(), near[rows].shape),
+            linear[rows],
+            lower=lower[rows],
+            upper=upper[rows],
+            start=near[rows],
+            steps=_NEAR_STEPS,
+        )
+
+    blocks = frame_blocks(len(start), frames=_BLOCK_FRAMES)
+    return np.concatenate(map_threads(solve, blocks)).astype(np.float64)
 
 
 def _place_by_skin(
@@ -313,12 +330,12 @@ def path_misfit(deltas: Float32Array, weights: FloatArray, paths: FloatArray) ->
     basis, root = np.linalg.qr(weights)
     along = np.einsum("fmc,fr->cmr", paths, basis, optimize=True).astype(np.float32)
     root, energy = root.astype(np.float32), (paths**2).sum(axis=(0, 2)).astype(np.float32)
-    count = deltas.shape[1]
-    product, sample_energy = (np.zeros(n, np.float32) for n in ((len(energy), count), count))
-    for axis in range(3):
+
+    def along_axis(axis: int) -> tuple[Float32Array, Float32Array]:
         moves = root @ deltas[:, :, axis]
-        product += along[axis] @ moves
-        sample_energy += np.einsum("rs,rs->s", moves, moves)
+        return along[axis] @ moves, np.einsum("rs,rs->s", moves, moves)
+
+    product, sample_energy = map(sum, zip(*map_threads(along_axis, range(3)), strict=True))
     gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAIN_LIMITS)
     residual = np.maximum(energy[:, None] + gain * (gain * sample_energy - 2 * product), 0)
     noise = 3 * len(paths) * _NOISE_MM**2

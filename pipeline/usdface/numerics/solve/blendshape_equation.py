@@ -48,6 +48,8 @@ class MarkerKeys:
     key_weights: Callable[[FloatArray], FloatArray]
     """Maps weights of shapes (frames, shapes) to weights of keys (frames, keys); piecewise linear.
     """
+    linear: bool = False
+    """Whether the map is linear, so that the equation has the same slopes everywhere."""
 
     def move(self, key_weights: FloatArray) -> FloatArray:
         """Return displacements by weights of keys: (frames, markers, 3) [mm]."""

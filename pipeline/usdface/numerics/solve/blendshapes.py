@@ -99,6 +99,11 @@ class BlendShapes:
         channels = np.array([channel for channel, knots in self._knots for _ in knots], np.int64)
         return np.where(channels < self.channel_count, channels, -1)
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether displacements are linear in the weights: without in-betweens and combinations."""
+        return self.logic is None and len(self._single_keys[0]) == self.key_offsets.shape[0]
+
     def key_weights(self, weights: ArrayLike) -> FloatArray:
         """Return key weights (frames, keys) of channel weights (frames, channels)."""
         weights = np.atleast_2d(np.asarray(weights, dtype=np.float64))
@@ -134,6 +139,10 @@ class BlendShapes:
 
     def target_offsets(self) -> sparse.csr_array:
         """Return displacements by each channel at 1: (channels, 3 * points) sparse array."""
+        return self._targets
+
+    @cached_property
+    def _targets(self) -> sparse.csr_array:
         full = sparse.csr_array(self.key_weights(np.eye(self.channel_count)))
         return sparse.csr_array(full @ self.key_offsets)
 
@@ -160,10 +169,10 @@ class BlendShapes:
             Weights at which combinations are linearised; the mean over them is returned. By default
             at rest.
         """
-        columns = coordinates_of(self.face_points)
-        targets = sparse.csr_array(self.target_offsets()[:, columns])
         if self.logic is None or poses is None:
-            return np.asarray((targets @ targets.T).toarray()) / max(len(self.face_points), 1)
+            return self._gram_at_rest
+        columns = coordinates_of(self.face_points)
+        targets = sparse.csr_array(self._targets[:, columns])
         driven = sparse.csr_array(self.combination_offsets()[:, columns])
         slopes = self.logic.slopes(poses)  # a combination that one shape drives is in `targets`
         slopes -= self.logic.evaluate(np.eye(self.channel_count))[:, self.channel_count :].T
@@ -175,6 +184,11 @@ class BlendShapes:
             "fcs,cd,fdt->st", slopes, whole[count:, count:], slopes, optimize=True
         ) / len(slopes)
         return np.asarray(whole[:count, :count] + mean + mean.T + quadratic)
+
+    @cached_property
+    def _gram_at_rest(self) -> FloatArray:
+        targets = self._targets[:, coordinates_of(self.face_points)]
+        return np.asarray((targets @ targets.T).toarray()) / max(len(self.face_points), 1)
 
 
 def moving_points(offsets: FloatArray | sparse.sparray) -> IntArray:
