@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -134,10 +136,15 @@ def test_frame_centres_a_turned_face() -> None:
 def test_a_renderer_draws_each_pose_as_one_that_drew_no_other() -> None:
     ball, camera = sphere(), Camera(eye=(0.0, 0.0, 900.0), target=(0.0, 0.0, 0.0))
     renderer, values = FaceRenderer([ball]), np.linspace(0, 1, len(ball.points))
-    for points in (ball.points, 0.8 * ball.points):
+    plain = {"width": 64, "camera": camera, "sculpted": None}
+    beside = {"camera": replace(camera, eye=(300.0, 0.0, 800.0))}
+    uneven = {"sculpted": np.sin(ball.points)}
+    for size, other in [(1.0, {}), (0.8, {}), (1.0, {}), (1.2, {}), (1.0, {})] + [
+        (1.0, each) for each in (beside, {"width": 48}, uneven, {"quality": "draft"}, {})
+    ]:
         for painted in (None, values):
             both = [
-                each.render(points, camera=camera, width=64, height=64, values=painted)
+                each.render(size * ball.points, height=64, values=painted, **(plain | other))
                 for each in (renderer, FaceRenderer([ball]))
             ]
             np.testing.assert_array_equal(*both)

@@ -99,7 +99,9 @@ def test_an_eye_with_a_flat_back_is_an_eyeball_where_its_name_says_so(path: str)
         points=np.concatenate([ball.points[front], np.zeros((1, 3))]) + middle,
         face_indices=corners[ball.face_indices],
     )
-    pieces = find_pieces([head, half], exposure=np.ones(len(head.points) + len(half.points)))
+    pieces = find_pieces(
+        [head, half], exposure=lambda: np.ones(len(head.points) + len(half.points))
+    )
     balls = [each for each in pieces.eyeballs.values() if each.radius < 50]
     assert len(balls) == ("eye" in path)
     for each in balls:

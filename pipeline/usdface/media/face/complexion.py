@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, smoothstep
+from usdface.core.arrays import BoolArray, FloatArray, smoothstep
 from usdface.core.assets import RigMesh, point_slices
 from usdface.media.face import shading
 from usdface.media.face.features import ColorBand, find_bands
@@ -60,10 +60,18 @@ class Complexion:
     """(points,): opacity of the bands at each point [0-1]."""
 
 
+def colored_by_light(meshes: Sequence[RigMesh], pieces: Pieces) -> BoolArray:
+    """Return which points have colours that depend on their exposure: (points,)."""
+    own = [mesh.colors is None or tone(mesh) is not None for mesh in meshes]
+    skin = pieces.parts[pieces.of_point] == FacePart.SKIN
+    return np.asarray(skin & np.repeat(own, [len(mesh.points) for mesh in meshes]))
+
+
 def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> Complexion:
     """Return colours of all points: the rig's, or else those of its parts.
 
-    `exposure`: (points,), visible share of the sky with the mouth shut [0-1].
+    `exposure`: (points,), visible share of the sky with the mouth shut [0-1]; any where the colours
+    do not depend on it, see `colored_by_light`.
     """
     palette = np.zeros((len(FacePart), 3))
     palette[FacePart.SKIN], palette[FacePart.EYE] = shading.SKIN, shading.SCLERA

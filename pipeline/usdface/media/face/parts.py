@@ -5,7 +5,7 @@ lashes are separate pieces, which need their own shading.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -76,10 +76,11 @@ def part_from_name(path: str) -> FacePart | None:
     return None
 
 
-def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
+def find_pieces(meshes: Sequence[RigMesh], *, exposure: Callable[[], FloatArray]) -> Pieces:
     """Classify the pieces of a head at rest.
 
-    `exposure`: (points,), visible share of the sky [0-1], all meshes concatenated.
+    `exposure`: returns the visible share of the sky at all points, (points,) [0-1]; called only if
+    a piece without a name needs it.
     """
     labels, named = _label(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])
@@ -116,7 +117,7 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
             for ball in eyeballs.values()
         ):
             parts[piece] = FacePart.HIDDEN
-        elif np.median(exposure[members[piece]]) < _CLOSED_IN:
+        elif np.median(exposure()[members[piece]]) < _CLOSED_IN:
             small = np.linalg.norm(np.ptp(cloud, axis=0)) < _TOOTH_SIZE * width
             parts[piece] = FacePart.TEETH if small else FacePart.MOUTH
     return Pieces(of_point=labels, parts=parts, eyeballs=eyeballs)

@@ -87,17 +87,33 @@ class View:
 
 @dataclass(frozen=True)
 class _Samples:
-    """Surface samples at ray hits, before lighting."""
+    """Surface samples at ray hits, before colours and lighting."""
 
     found: RayHits
+    corners: IntArray
     normals: Float32Array
     views: Float32Array
-    albedo: Float32Array
-    parts: IntArray
+    away: BoolArray
+    """(n,): whether the back of the surface is seen."""
 
 
-def draw(view: View) -> Float32Array:
-    """Draw a view: (height, width, 3), linear light [0-1]."""
+@dataclass(frozen=True)
+class FirstHits:
+    """What the first ray of each pixel meets, whatever its colours."""
+
+    samples: _Samples
+    rays: IntArray
+    """(n,): pixel of each sample."""
+    seen: Float32Array
+    """(n, 2): visible shares of sky and key light, denoised."""
+    slots: IntArray
+    """(pixels,): sample of each pixel, or -1."""
+    holes: BoolArray
+    """(height, width): pixels without a hit that the surface surrounds."""
+
+
+def cast_first(view: View) -> FirstHits:
+    """Cast a ray through the centre of each pixel, and rays to the lights from its hit."""
     height, width = view.height, view.width
     pixels = _framed_pixels(view)
     rows, columns = np.divmod(pixels, width)
@@ -121,15 +137,19 @@ def draw(view: View) -> Float32Array:
     slots[rays] = np.arange(len(rays))
     hit = (slots >= 0).reshape(height, width)
     holes = ndimage.binary_fill_holes(hit) & ~hit
-    picture = view.background(width)
-    picture[holes] = _HOLE_LIGHT
+    return FirstHits(samples, rays, seen, slots, holes)
+
+
+def draw(view: View, first: FirstHits) -> Float32Array:
+    """Draw a view: (height, width, 3), linear light [0-1]."""
+    picture = view.background(view.width)
+    picture[first.holes] = _HOLE_LIGHT
     flat = picture.reshape(-1, 3)
-    flat[rays] = _light(view, samples, seen)
+    flat[first.rays] = _light(view, first.samples, first.seen)
     edges = np.flatnonzero(_edges(picture))
     if len(edges):
-        near_hole = ndimage.binary_dilation(holes, iterations=2).ravel()
-        flat[edges] += _resample(view, edges, near_hole, _Known(samples, seen, slots))
-        flat[edges] /= ray_counts.edge_samples
+        flat[edges] += _resample(view, edges, first)
+        flat[edges] /= view.ray_counts.edge_samples
     return picture
 
 
@@ -156,17 +176,21 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
     views = -np.take(directions, found.rays, axis=0)
     facing = view.surface.outward * np.einsum("ij,ij->i", normals, views)
     normals[view.surface.outward * facing < 0] *= -1
-    away = facing < -0.2
+    return _Samples(found, corners, normals, views, facing < -0.2)
+
+
+def _albedo(view: View, samples: _Samples) -> Float32Array:
+    found, corners = samples.found, samples.corners
     albedo = _mix(view.colors, corners, found.barycentric)
     if not view.heat:
         own = np.flatnonzero(~np.isnan(view.surface.painted[found.triangles, 0]))
         albedo[own] = view.surface.painted[found.triangles[own]]
     # Back of the skin, visible through an eye hole.
-    albedo[away] *= _BACK_ALBEDO
+    albedo[samples.away] *= _BACK_ALBEDO
     if not view.heat:
         _paint_irises(view.surface, found, corners, albedo)
         _paint_bands(view.surface, found, corners, albedo)
-    return _Samples(found, normals, views, albedo, view.surface.parts[found.triangles])
+    return albedo
 
 
 def _mix(values: Float32Array, corners: IntArray, shares: Float32Array) -> Float32Array:
@@ -247,8 +271,8 @@ def _light(view: View, samples: _Samples, seen: Float32Array) -> Float32Array:
     hits = shading.Hits(
         normals=samples.normals @ axes,
         views=samples.views @ axes,
-        albedo=samples.albedo,
-        parts=samples.parts,
+        albedo=_albedo(view, samples),
+        parts=view.surface.parts[samples.found.triangles],
         openness=openness,
         lit=lit * sure + openness**2 * (1 - sure),
     )
@@ -282,17 +306,9 @@ def _largest_channel(colors: Float32Array) -> Float32Array:
     return np.asarray(np.maximum(np.maximum(red, green), blue))
 
 
-@dataclass(frozen=True)
-class _Known:
-    """Denoised results of the first rays, by pixel."""
-
-    samples: _Samples
-    seen: Float32Array
-    slots: IntArray
-
-
-def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) -> Float32Array:
+def _resample(view: View, edges: IntArray, first: FirstHits) -> Float32Array:
     """Return the sum of the samples of each of the given pixels, without that of its centre."""
+    near_hole = ndimage.binary_dilation(first.holes, iterations=2).ravel()
     steps = np.arange(1, view.ray_counts.edge_samples)  # 0 is the centre
     spread = np.stack(r2_points(steps), axis=1)
     corners = np.stack([edges % view.width, edges // view.width], axis=1).astype(np.float64)
@@ -302,7 +318,7 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
     patterns = (5 * np.add.outer(edge_numbers, steps).ravel() + owner) % PATTERN_COUNT
     samples = _sample(view, pixels)
     rays = samples.found.rays
-    seen, unknown = _borrow(view, samples, owner[rays], known)
+    seen, unknown = _borrow(view, samples, owner[rays], first)
     seen[unknown] = _occlusion(
         view,
         samples.found.positions[unknown],
@@ -318,7 +334,7 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
 
 
 def _borrow(
-    view: View, samples: _Samples, owner: IntArray, known: _Known
+    view: View, samples: _Samples, owner: IntArray, known: FirstHits
 ) -> tuple[Float32Array, IntArray]:
     """Copy shares of light from the pixel or a neighbour on the same surface.
 

@@ -1,6 +1,7 @@
 """Pictures of a posed face, ray-cast on the CPU with soft shadow and ambient occlusion."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ from usdface.core.arrays import ByteImage, Float32Array, FloatArray, row_lengths
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
-from usdface.media.face.raycast import RAY_COUNTS, View, draw
+from usdface.media.face.raycast import RAY_COUNTS, FirstHits, View, cast_first, draw
 from usdface.media.face.surface import build_surface
 from usdface.media.face.tracing import Tracer, traced_triangles
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
@@ -22,6 +23,20 @@ _MAX_PIXELS = 8192 * 8192
 
 _LEAST_KNOWN = 0.5
 """Least total weight of known values at a drawn point; below, its value is unknown."""
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """A posed surface, and what was seen of it."""
+
+    cage: FloatArray
+    sculpted: FloatArray
+    """`cage`, `sculpted`: (points, 3); the latter may be empty."""
+    fine: FloatArray
+    normals: Float32Array
+    """`fine`, `normals`: (drawn points, 3)"""
+    tracer: Tracer
+    first: dict[tuple[Camera, int, int, Quality], FirstHits] = field(default_factory=dict)
 
 
 class FaceRenderer:
@@ -41,7 +56,7 @@ class FaceRenderer:
         """Number of points of all meshes, drawn or not."""
         self._surface = build_surface(meshes)
         self._triangles = traced_triangles(self._surface.triangles)
-        self._traced: tuple[Float32Array, Tracer] | None = None
+        self._poses: tuple[_Pose, ...] = ()
         self._display = display or bytes_from_linear
         self._paper = paper
 
@@ -83,38 +98,46 @@ class FaceRenderer:
             raise InputError(
                 f"a picture of {width} × {height} pixels cannot be drawn; ask for less"
             )
-        surface = self._surface
-        cage = _finite(points.astype(np.float64), "points")
-        fine = np.asarray(surface.matrix @ cage)
-        colors = surface.albedo
+        colors, pose = self._surface.albedo, self._pose(points, sculpted)
         if values is not None:
             fine_values = self._subdivided(np.asarray(values, np.float64))
             low, high = value_range
             colors = heat_ramp(fine_values, low=low, high=high).astype(np.float32)
-        normals = surface.normals_at(fine.astype(np.float32))
-        if sculpted is not None:
-            normals = normals + surface.matrix @ sculpted
-            normals /= np.maximum(row_lengths(normals), 1e-9)
         view = View(
-            surface=surface,
+            surface=self._surface,
             camera=camera,
             width=width,
             height=height,
             ray_counts=RAY_COUNTS[quality],
-            points=fine,
-            tracer=self._tracer(fine.astype(np.float32)),
-            normals=normals.astype(np.float32),
+            points=pose.fine,
+            tracer=pose.tracer,
+            normals=pose.normals,
             colors=colors,
             heat=values is not None,
             paper=self._paper,
         )
-        return (bytes_from_linear if view.heat else self._display)(draw(view))
+        framing = camera, width, height, quality
+        if framing not in pose.first:
+            pose.first[framing] = cast_first(view)
+        picture = draw(view, pose.first[framing])
+        return (bytes_from_linear if view.heat else self._display)(picture)
 
-    def _tracer(self, fine: Float32Array) -> Tracer:
-        """Return a tracer of a pose; the last is cached, for a picture and its heat map."""
-        if self._traced is None or not np.array_equal(self._traced[0], fine):
-            self._traced = fine, Tracer(fine, self._triangles)
-        return self._traced[1]
+    def _pose(self, points: FloatArray | Float32Array, sculpted: FloatArray | None) -> _Pose:
+        """Return a pose; the last two are cached, for pictures with heat maps beside others."""
+        cage, surface = _finite(points.astype(np.float64), "points"), self._surface
+        offsets = np.zeros(0) if sculpted is None else sculpted
+        for known in self._poses:
+            if np.array_equal(known.cage, cage) and np.array_equal(known.sculpted, offsets):
+                return known
+        fine = np.asarray(surface.matrix @ cage)
+        normals = surface.normals_at(fine.astype(np.float32))
+        if len(offsets):
+            normals = normals + surface.matrix @ offsets
+            normals /= np.maximum(row_lengths(normals), 1e-9)
+        tracer = Tracer(fine.astype(np.float32), self._triangles)
+        pose = _Pose(cage, offsets, fine, normals.astype(np.float32), tracer)
+        self._poses = pose, *self._poses[:1]
+        return pose
 
     def _subdivided(self, values: FloatArray) -> FloatArray:
         """Interpolate values at the drawn points: means of the known, NaN where most are not."""

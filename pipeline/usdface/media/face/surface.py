@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy import sparse
@@ -10,7 +11,13 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, i
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.core.last_result import cache_last_result
-from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
+from usdface.media.face.complexion import (
+    LEAST_OPACITY,
+    colored_by_light,
+    faces_painted,
+    is_plain_eye,
+    paint,
+)
 from usdface.media.face.features import ColorBand
 from usdface.media.face.mesh_topology import cut_polygons
 from usdface.media.face.parts import FacePart, Pieces, find_pieces
@@ -117,7 +124,8 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     triangles, painted = drawn.triangles[kept], painted[kept]
     # Lash cards and tear lines would occlude visible skin.
     shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
-    exposure, outward = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
+    lit = np.flatnonzero(colored_by_light(visible, pieces))
+    exposure, outward = _rest_exposure(visible, shown, lit, rays=_EXPOSURE_RAYS)
     cage = np.concatenate([mesh.points for mesh in visible])
     rest = np.asarray(drawn.matrix @ cage)
     complexion = paint(visible, pieces, exposure=exposure)
@@ -164,7 +172,8 @@ def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
     heights = np.concatenate([mesh.points[:, 1] for mesh in meshes])
     least = LONG_EDGE * float(np.ptp(heights))
     drawn = _concatenate([_refine(mesh, least_edge=least) for mesh in meshes])
-    exposure, _ = _rest_exposure(meshes, drawn, rays=_SORTING_RAYS)
+    every = np.arange(len(heights))
+    exposure = cache(lambda: _rest_exposure(meshes, drawn, every, rays=_SORTING_RAYS)[0])
     return drawn, find_pieces(meshes, exposure=exposure)
 
 
@@ -256,9 +265,9 @@ def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
 
 
 def _rest_exposure(
-    meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int
+    meshes: Sequence[RigMesh], drawn: _Drawn, which: IntArray, *, rays: int
 ) -> tuple[FloatArray, float]:
-    """Return each cage point's visible share of the sky [0-1], and `Surface.outward`.
+    """Return the visible share of the sky of some cage points, 1 at others, and `Surface.outward`.
 
     The maximum of the pose at rest and of a blink: lids folded away at rest are skin; occluded in
     both are the inside of the mouth and of the sockets.
@@ -268,9 +277,12 @@ def _rest_exposure(
     few = np.arange(len(rest))[:: max(len(rest) // _PROBE_COUNT, 1)]
     out, into = (posed.sky_over(few, outward=side, rays=PATTERN_COUNT).mean() for side in (1, -1))
     outward = 1.0 if out >= into else -1.0
-    seen = posed.sky_over(np.arange(len(rest)), outward=outward, rays=rays)
+    seen = np.ones(len(rest))
+    if not len(which):
+        return seen, outward
+    seen[which] = posed.sky_over(which, outward=outward, rays=rays)
     blink = rest + np.concatenate([blink_offsets(mesh) for mesh in meshes])
-    folded = np.flatnonzero(np.any(blink != rest, axis=1))
+    folded = which[np.any(blink[which] != rest[which], axis=1)]
     if len(folded):
         shut = _Posed(blink, drawn).sky_over(folded, outward=outward, rays=rays)
         seen[folded] = np.maximum(seen[folded], shut)

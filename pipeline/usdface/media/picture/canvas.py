@@ -11,7 +11,8 @@ from usdface.media.picture.text import TextStyle, draw_text
 
 def new_picture(width: int, height: int, color: Color) -> ByteImage:
     """Return a picture of one colour."""
-    return np.full((height, width, 3), color, np.uint8)
+    row = np.full((1, width, 3), color, np.uint8)
+    return np.repeat(row, height, axis=0)  # faster than one fill
 
 
 def fill_box(

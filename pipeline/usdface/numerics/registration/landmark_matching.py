@@ -8,7 +8,6 @@ face, with the density of the cloud.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import FloatArray, IntArray
@@ -68,6 +67,8 @@ def match_landmarks(
     proportion_mm : float
         Standard deviation of markers due to proportions, on an adult's face.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     if not len(face.names):
         none = np.zeros(0, np.int64)
         return LandmarkMatch(none, none, np.zeros(0), 0.0)

@@ -6,7 +6,6 @@ It determines roll and yaw of the head, half of the unknowns of a placement.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -143,6 +142,8 @@ def _nearest_refined(
 
 
 def _assigned_pairs(points: FloatArray, plane: SagittalPlane, tolerance: float) -> IntArray:
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     cost = np.minimum((cdist(plane.mirrored(points), points) / tolerance) ** 2, 1)
     point, partner = linear_sum_assignment(cost)
     good = (cost[point, partner] < 1) & (point != partner)

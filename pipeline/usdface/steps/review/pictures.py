@@ -3,7 +3,7 @@
 from contextlib import ExitStack
 from copy import copy
 from functools import cached_property
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -166,30 +166,27 @@ class ShotPictures:
         camera = self._camera.at(frame, still=still)
         seen = (camera, weights.tobytes(), None if still else frame)
         if seen not in self._last:  # sheets show the solve twice, and faces may not move
-            sculpted = self._normals.at(weights)
-            if sculpted is not None and not still:
-                sculpted = shot.apply_motion(row, sculpted, vectors=True)
-            picture = self._renderer.render(
-                shot.pose(row, weights, still=still),
-                camera=camera,
-                width=self.face_width,
-                height=self._height,
-                quality=self._quality,
-                sculpted=sculpted,
-            )
+            picture = self._draw(row, weights, still=still)
             self._last = dict([*self._last.items(), (seen, picture)][-_LAST_PICTURES:])
         return self._last[seen].copy()
+
+    def _draw(self, row: int, weights: FloatArray, *, still: bool, **painted: Any) -> ByteImage:
+        """Draw the rig; `painted`: values and their range, see `FaceRenderer.render`."""
+        sculpted = self._normals.at(weights)
+        if sculpted is not None and not still:
+            sculpted = self._shot.apply_motion(row, sculpted, vectors=True)
+        return self._renderer.render(
+            self._shot.pose(row, weights, still=still),
+            camera=self._camera.at(int(self._shot.frames[row]), still=still),
+            width=self.face_width,
+            height=self._height,
+            quality=self._quality,
+            sculpted=sculpted,
+            **painted,
+        )
 
     def painted(
         self, row: int, weights: FloatArray, values: FloatArray, *, high: float
     ) -> ByteImage:
         """Paint values of points, (points,), on the rig at one set of weights; NaN is grey."""
-        return self._renderer.render(
-            self._shot.pose(row, weights),
-            camera=self._camera.at(int(self._shot.frames[row])),
-            width=self.face_width,
-            height=self._height,
-            quality="draft",
-            values=values,
-            value_range=(0.0, high),
-        )
+        return self._draw(row, weights, still=False, values=values, value_range=(0.0, high))
