@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import cached_property, wraps
 from hashlib import sha256
 from pathlib import Path
-from typing import ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -12,11 +12,7 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-class _Hash(Protocol):
-    def update(self, data: bytes | memoryview, /) -> None: ...
-
-
-def _add_content(digest: _Hash, content: object) -> None:
+def _add_content(digest: Any, content: object) -> None:
     """Add arrays, scalars, containers and the attributes of other objects to a hash."""
     digest.update(type(content).__name__.encode())
     if isinstance(content, np.ndarray) and not content.dtype.hasobject:

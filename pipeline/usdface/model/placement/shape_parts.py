@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, row_lengths
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.model.placement.face_template import landmark_place
@@ -87,7 +87,7 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     motions = _motions(deformer.full_offsets())
     moving = [shape for shape in foreign if motions[shape].max(initial=0.0) > _LEAST_MOTION_MM]
     for shape in moving:
-        moved, on_skin = motions[shape], np.linalg.norm(skin.deltas[shape], axis=1)
+        moved, on_skin = motions[shape], row_lengths(skin.deltas[shape])[:, 0]
         part, share = template.part_at(points, moved), on_skin.max() / moved.max()
         if part == "lids" and share < _LID_SHARE:
             found[shape] = GAZE

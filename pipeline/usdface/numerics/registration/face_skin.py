@@ -247,9 +247,8 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
     at_samples = deltas_at(matrix.astype(np.float32), corners, shares.astype(np.float32))
-    by_axis = np.ascontiguousarray(np.moveaxis(at_samples, 2, 1))
-    deltas = np.moveaxis(frame.astype(np.float32) @ by_axis, 1, 2)
-    moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
+    by_axis = frame.astype(np.float32) @ np.ascontiguousarray(np.moveaxis(at_samples, 2, 1))
+    moved = np.sqrt((by_axis**2).sum(axis=(0, 1), dtype=np.float64))
     unit = rms_radius(skin.positions, moved) / TYPICAL_SIZE_MM
     positions = skin.positions @ frame.T / unit
     return FaceSkin(
@@ -260,7 +259,7 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
         positions,
         normals,
         skin.areas / unit**2,
-        deltas / np.float32(unit),
+        np.moveaxis(by_axis / np.float32(unit), 1, 2),
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
     )
 

@@ -18,14 +18,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-    RealArray,
-    frame_blocks,
-)
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frame_blocks
 from usdface.core.processes import map_threads
 from usdface.numerics.registration.cloud_alignment import Alignment
 from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
@@ -242,21 +235,20 @@ def solve_weights_at(
     lower, upper = (np.broadcast_to(limit, start.shape).astype(A.dtype) for limit in ranges.T)
     gram = A @ A.T + ridge * np.eye(len(A), dtype=A.dtype)
     few = len(A) < 2 * A.shape[1]  # shapes; the product with their Gram matrix takes less
-    linear, near = flat.astype(A.dtype) @ A.T, start.astype(A.dtype)
+    diagonal, linear = np.broadcast_to(gram.diagonal(), start.shape), flat.astype(A.dtype) @ A.T
 
-    def solve(rows: slice) -> RealArray:
+    def solve(rows: slice) -> FloatArray:
         return minimise_within_bounds(
             (lambda z: z @ gram) if few else (lambda z: (z @ A) @ A.T + ridge * z),
-            np.broadcast_to(gram.diagonal(), near[rows].shape),
+            diagonal[rows],
             linear[rows],
             lower=lower[rows],
             upper=upper[rows],
-            start=near[rows],
+            start=start[rows].astype(A.dtype),
             steps=_NEAR_STEPS,
-        )
+        ).astype(np.float64)
 
-    blocks = frame_blocks(len(start), frames=_BLOCK_FRAMES)
-    return np.concatenate(map_threads(solve, blocks)).astype(np.float64)
+    return np.concatenate(map_threads(solve, frame_blocks(len(start), frames=_BLOCK_FRAMES)))
 
 
 def _place_by_skin(

@@ -21,7 +21,7 @@ from usdface.numerics.solve.hessian import EIGENVALUE_SHIFT, Hessian, hessian_of
 _ALTERNATING_STEPS = 30
 """From rest; on face rigs, less than one exchange per frame follows, on average."""
 _OVER_RELAXATION = 1.8
-_BLOCK_FRAMES = 32
+_BLOCK_FRAMES = 64
 """Frames per thread and task; rounding depends on it, so it is independent of the cores."""
 _PATIENCE_ROUNDS = 3
 """Of pivoting without progress, before the active-set method takes over."""
