@@ -41,7 +41,7 @@ def correct(shot: Shot, marker: str, point: int | None) -> None:
     points = rig_surfaces(read_rig(shot / "hero.usdc"))[0].mesh.points
     place = None if point is None else points[point]
     made = Provenance(step="tune", spec="{}", inputs={})
-    correct_binding(placement, corrected_path(placement), {marker: place}, made)
+    correct_binding(placement, {marker: place}, made)
     make_newest(corrected_path(placement))
 
 

@@ -18,11 +18,14 @@ def confinement_root() -> Path | None:
     return Path(folder) if folder else None
 
 
-def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
-    """Refuse paths that lead out of a folder, after links are resolved.
+def check_confined(paths: Sequence[tuple[str, Path]], root: Path | None = None) -> None:
+    """Refuse paths that lead out of a folder, by default that of the environment, if it has one.
 
-    `paths`: each with the name of its reader or writer.
+    After links are resolved. `paths`: each with the name of its reader or writer.
     """
+    root = confinement_root() if root is None else root
+    if root is None:
+        return
     if not root.is_dir():
         raise InputError(f"{root}: no such folder, so nothing can be confined to it")
     top = root.resolve()
@@ -56,6 +59,4 @@ def check_may_open(path: Path, *, what: str = "open") -> None:
 
     `what`: the operation, for the message.
     """
-    root = confinement_root()
-    if root is not None:
-        check_confined([(what, path)], root)
+    check_confined([(what, path)])

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdface.core.confinement import check_confined, confinement_root
+from usdface.core.confinement import check_confined
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.replacing import write_text
 from usdface.core.sidecars import LAYER_SUFFIXES
@@ -269,12 +269,9 @@ def describe(submission: Submission) -> tuple[str, ...]:
 
 def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     """Plan a job and write its bundle."""
-    root = confinement_root()
-    if root is not None:
-        check_confined([("submit", spec.job), ("submit", spec.out or spec.job)], root)
+    check_confined([("submit", spec.job), ("submit", spec.out or spec.job)])
     job = _with_absolute_paths(read_job(spec.job))
-    if root is not None:
-        check_confined(job.named_paths(), root)
+    check_confined(job.named_paths())
     # Before the job waits in a queue.
     if faults := missing_in_job(job):
         raise InputError("\n".join(faults))
@@ -282,12 +279,11 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
         job, spec, frames_of=lambda path: frame_range_of(path) if path.exists() else None
     )
     carried = _carried(job)
-    if root is not None:  # uploaded to farms without shared storage
-        check_confined([("submit, what a layer refers to", path) for path in carried], root)
+    # Uploaded to farms without shared storage.
+    check_confined([("submit, what a layer refers to", path) for path in carried])
     files = compose_bundle(job.job, plan.steps, carried=carried)
     bundle = spec.out or spec.job.with_name(f"{spec.job.stem}-{bundle_hash(files)}.bundle")
-    if root is not None:  # it may be a link
-        check_confined([("submit", bundle)], root)
+    check_confined([("submit", bundle)])  # it may be a link
     write_bundle(bundle, files, overwrite=overwrite)
     return Submission(job.job, bundle, plan)
 

@@ -113,7 +113,7 @@ def execute_each(
 
     `done_as` is the step as a participle for the message of failures, such as ``ingested``.
     """
-    made = _make_folder(out)
+    made = make_folder(out, remedy="choose another --out")
     done: list[StepResult] = []
     failed: list[str] = []
     for index, spec in enumerate(specs):
@@ -140,13 +140,11 @@ def execute_each(
     )
 
 
-def _make_folder(folder: Path) -> list[Path]:
+def make_folder(folder: Path, *, remedy: str) -> list[Path]:
     """Create a folder and its parents; return the new ones, the innermost first."""
     new = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be created: {error.strerror}; choose another --out"
-        ) from error
+        raise InputError(f"{folder}: cannot be created: {error.strerror}; {remedy}") from error
     return new

@@ -23,14 +23,15 @@ def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = (
 
     And all paths outside the folder of ``USDFACE_ROOT``, if set.
     """
-    root = confinement_root()
-    if root is not None:
-        check_confined([(what, path) for path in (*reads, *writes)], root)
-        _check_layers(what, reads, root)
+    check_confined([(what, path) for path in (*reads, *writes)])
+    _check_layers(what, reads)
     _check_files(what, reads)
 
 
-def _check_layers(what: str, paths: Sequence[Path], root: Path) -> None:
+def _check_layers(what: str, paths: Sequence[Path]) -> None:
+    root = confinement_root()
+    if root is None:
+        return
     top = root.resolve()
     faults = []
     for path in paths:
@@ -78,10 +79,8 @@ def check_may_be_read(spec: Spec) -> None:
     """
     for path in (*spec.paths(Reads), *spec.paths(Writes)):
         check_no_loop(path)
-    root = confinement_root()
-    if root is not None:
-        check_confined(spec.named_paths(), root)
-        _check_layers(spec.step, spec.paths(Reads), root)
+    check_confined(spec.named_paths())
+    _check_layers(spec.step, spec.paths(Reads))
     _check_files(spec.step, spec.paths(Reads))
 
 

@@ -153,8 +153,7 @@ def correct_place(
             f"{session.path.name}: has no placement to correct; select again, which writes one"
         )
     session.lock.check()
-    layer = corrected_path(placement)
-    confine("tune", reads=[placement], writes=[layer])
+    confine("tune", reads=[placement], writes=[corrected_path(placement)])
     read_placement(placement, rig)  # raises if it is damaged or of another rig
     surface = rig_surfaces(rig)[0]
     place = None
@@ -166,4 +165,4 @@ def correct_place(
         if away > surface.reach_mm:
             raise InputError(f"{marker}: {away:.0f} mm off the rig; drop it on the face")
     made = session.provenance(proposed_path(placement))
-    correct_binding(placement, layer, {marker: place}, made, author=session.author)
+    correct_binding(placement, {marker: place}, made, author=session.author)

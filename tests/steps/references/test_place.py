@@ -62,7 +62,7 @@ def test_a_correction_is_kept_pulls_nobody_else_and_gives_way_when_taken_back(sh
     near = np.linalg.norm(points - before[moved], axis=1)
     target = points[int(np.argmin(np.abs(near - 6.0)))]
     made = Provenance(step="tune", spec="{}", inputs={})
-    correct_binding(out, corrected_path(out), {moved: target}, made, author="kim")
+    correct_binding(out, {moved: target}, made, author="kim")
     stored = read_provenance(corrected_path(out))
     assert stored is not None
     assert stored.step == "tune"
@@ -74,7 +74,7 @@ def test_a_correction_is_kept_pulls_nobody_else_and_gives_way_when_taken_back(sh
     assert report.figures["placed_by_a_person"] == 1
     assert report.figures["corrected_by"] == {moved: "kim"}
     assert f"corrected by kim: 1 marker, {moved}" in report.notes
-    correct_binding(out, corrected_path(out), {moved: None}, made)
+    correct_binding(out, {moved: None}, made)
     execute(spec(shot), overwrite=True)
     np.testing.assert_allclose(places(out, rig)[moved], before[moved], atol=0.05)
     assert not read_placement(out, rig).authors

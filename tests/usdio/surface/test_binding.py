@@ -41,14 +41,7 @@ def bound(tmp_path: Path, face: FaceMesh) -> tuple[Path, MarkerBinding]:
 
 
 def write(folder: Path, binding: MarkerBinding, face: FaceMesh) -> None:
-    write_binding(
-        folder / "b.usda",
-        binding,
-        face,
-        corrected_path=folder / "b.corrected.usda",
-        proposed_path=folder / "b.proposed.usda",
-        provenance=Provenance(),
-    )
+    write_binding(folder / "b.usda", binding, face, provenance=Provenance())
 
 
 def correct(path: Path, prim: str, attribute: str, kind: Sdf.ValueTypeName, value: object) -> None:

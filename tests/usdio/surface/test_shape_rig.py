@@ -30,7 +30,7 @@ def test_shapes_come_back_as_they_were_given(tmp_path: Path, z_up: bool) -> None
     written = write_shape_rig(
         tmp_path / "rig.usda", face, [shape("smile", moved)], provenance=Provenance()
     )
-    assert (written[0].name, written[0].points) == ("smile", 50)
+    assert written == {"smile": 50}
     rig = read_rig(tmp_path / "rig.usda")
     np.testing.assert_allclose(rig.meshes[0].points, face.mesh.points, atol=1e-3)
     key = rig.meshes[0].shapes[0].keys[-1]

@@ -7,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray, rms_radius
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import binding_layers, corrected_path, proposed_path
+from usdface.core.sidecars import binding_layers, corrected_path
 from usdface.core.text import counted, first_few
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
@@ -52,14 +52,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     sources |= dict.fromkeys(corrections, "corrected")
     progress(0.2, "placing the markers")
     binding = bind_take(sample, face, pinned=pinned, sources=sources)
-    write_binding(
-        spec.out,
-        binding,
-        face,
-        corrected_path=corrected_path(spec.out),
-        proposed_path=proposed_path(spec.out),
-        provenance=provenance,
-    )
+    write_binding(spec.out, binding, face, provenance=provenance)
     at = binding.places.positions(face.mesh.points)
     if spec.picture is not None:
         progress(0.7, f"drawing {spec.picture.name}")

@@ -24,7 +24,7 @@ from usdface.steps.surface.plan import (
     sampler_notes,
 )
 from usdface.usdio.references.read import read_pair_notes
-from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
+from usdface.usdio.surface.shape_rig import NewShape, write_shape_rig
 from usdface.usdio.take.read import TakeReader
 
 _USABLE_SHARE = 0.9
@@ -137,8 +137,9 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress) -> 
         provenance=provenance,
     )
     progress(0.8, f"wrote {spec.out.name}")
-    names = [shape.name for shape in written]
-    write_shapes_picture(spec, plan, shapes, names=names, sd_mm=moved.sd, provenance=provenance)
+    write_shapes_picture(
+        spec, plan, shapes, names=list(written), sd_mm=moved.sd, provenance=provenance
+    )
     return _report(spec, plan, chosen, written)
 
 
@@ -169,17 +170,17 @@ def _report(
     spec: MakeShapesSpec,
     plan: SurfacePlan,
     chosen: tuple[ShapeFrame, ...],
-    written: tuple[WrittenShape, ...],
+    written: dict[str, int],
 ) -> StepResult:
     notes = [*plan.notes, *sampler_notes(plan.model)]
     renamed = [
-        f"{frame.name} as {shape.name}"
-        for frame, shape in zip(chosen, written, strict=True)
-        if frame.name != shape.name
+        f"{frame.name} as {name}"
+        for frame, name in zip(chosen, written, strict=True)
+        if frame.name != name
     ]
     if renamed:
         notes.append(f"invalid or repeated names were changed: {first_few(renamed)}")
-    share = np.mean([shape.points for shape in written]) / len(plan.face.mesh.points)
+    share = np.mean(list(written.values())) / len(plan.face.mesh.points)
     return StepResult(
         (spec.out, *spec.paths_of("picture")),
         f"{len(written)} shapes on {len(plan.face.mesh.points)} points, each moving "
@@ -187,8 +188,8 @@ def _report(
         tuple(notes),
         {
             "shapes": {
-                shape.name: {"frame": frame.frame, "points": shape.points}
-                for frame, shape in zip(chosen, written, strict=True)
+                name: {"frame": frame.frame, "points": count}
+                for frame, (name, count) in zip(chosen, written.items(), strict=True)
             },
             "blend": plan.model.blend,
             "length_scale_mm": plan.model.length_scale,

@@ -16,6 +16,7 @@ from pxr import Gf, Kind, Sdf, Tf, Usd, Vt
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.core.text import first_few
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.surface.surface_places import (
@@ -77,24 +78,18 @@ def write_binding(
     binding: MarkerBinding,
     face: BoundSurface,
     *,
-    corrected_path: Path,
-    proposed_path: Path,
     provenance: Provenance,
     author: Callable[[Sdf.PrimSpec], None] | None = None,
 ) -> None:
     """Write a binding with its proposal, and preserve corrections.
 
-    Parameters
-    ----------
-    path, corrected_path, proposed_path : Path
-        The layer to open, and its two sublayers.
-    author : callable, optional
-        Authors attributes of the root prim of the proposal.
+    `author`: authors attributes of the root prim of the proposal.
     """
     stage = open_stage(face.file)
-    written: dict[Path, Provenance | None] = {proposed_path: provenance, path: provenance}
-    if not corrected_path.is_file():
-        written = {corrected_path: None, **written}
+    proposal, corrections = proposed_path(path), corrected_path(path)
+    written: dict[Path, Provenance | None] = {proposal: provenance, path: provenance}
+    if not corrections.is_file():
+        written = {corrections: None, **written}
     with new_layers(written) as layers:
         *corrected, proposed, layer = layers
         for each in corrected:
@@ -108,9 +103,7 @@ def write_binding(
             author(proposed.GetPrimAtPath(_ROOT))
         author_units(layer)
         layer.defaultPrim = _ROOT.name
-        layer.subLayerPaths = [
-            relative_path(each, path) for each in (corrected_path, proposed_path)
-        ]
+        layer.subLayerPaths = [relative_path(each, path) for each in (corrections, proposal)]
         root = define_prim(layer, _ROOT, "Xform")
         root.SetInfo("kind", Kind.Tokens.assembly)  # rigs are models, which need a group above
         apply_api(root, "FaceBindingAPI")
@@ -297,18 +290,17 @@ def has_binding(path: Path) -> bool:
     return spec is not None and "face:binding:hash" in spec.properties
 
 
-def has_corrections(corrected_path: Path) -> bool:
+def has_corrections(corrections: Path) -> bool:
     """Whether a layer exists and corrects a marker."""
-    if not corrected_path.is_file():
+    if not corrections.is_file():
         return False
-    layer = open_layer(corrected_path)
+    layer = open_layer(corrections)
     markers = layer.GetPrimAtPath(_MARKERS)
     return markers is not None and bool(markers.nameChildren)
 
 
 def correct_binding(
     path: Path,
-    corrected_path: Path,
     places: Mapping[str, FloatArray | None],
     made: Provenance,
     *,
@@ -318,12 +310,8 @@ def correct_binding(
 
     Parameters
     ----------
-    path, corrected_path : Path
-        The layer to open, and its stronger sublayer.
     places : mapping of str to (3,) float array or None
         New position of each marker's sphere [mm]; None removes its correction.
-    made : Provenance
-        Of the corrections.
     author : str
         Stored with each correction; empty if unknown.
     """
@@ -332,8 +320,9 @@ def correct_binding(
     unknown = [name for name in places if name not in prims]
     if unknown:
         raise InputError(f"{path}: binds no marker {unknown[0]!r}; it has {first_few(prims)}")
-    old = open_layer(corrected_path)
-    with new_layer(corrected_path, made) as layer:
+    corrections = corrected_path(path)
+    old = open_layer(corrections)
+    with new_layer(corrections, made) as layer:
         layer.TransferContent(old)
         for name, at in places.items():
             holder = layer.GetPrimAtPath(_MARKERS)

@@ -15,7 +15,6 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.usdio.authoring import apply_api, author_uniform, doubles
 from usdface.usdio.layers import open_stage, refusing_wrong_types
@@ -71,8 +70,6 @@ def write_placement(
         path,
         placement.binding,
         rig_surfaces(rig)[0],
-        corrected_path=corrected_path(path),
-        proposed_path=proposed_path(path),
         provenance=provenance,
         author=author,
     )

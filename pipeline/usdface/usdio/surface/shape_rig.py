@@ -47,16 +47,6 @@ class NewShape:
     """`take`, `frame`: Of the capture."""
 
 
-@dataclass(frozen=True)
-class WrittenShape:
-    """A written shape."""
-
-    name: str
-    """Of the channel and of its prim."""
-    points: int
-    """Number of points that it moves."""
-
-
 def shape_names(wanted: list[str]) -> list[str]:
     """Return valid and unique names of channels and prims, in the same order."""
     valid = (str(Tf.MakeValidIdentifier(each.strip() or "shape")) for each in wanted)
@@ -71,8 +61,10 @@ def write_shape_rig(
     name: str = "Face",
     least_mm: float = 0.02,
     provenance: Provenance,
-) -> tuple[WrittenShape, ...]:
+) -> dict[str, int]:
     """Write a rig: a SkelRoot with a one-joint Skeleton, the mesh's asset, and shapes on the mesh.
+
+    Returns the number of points that each shape moves, by the name of its channel and its prim.
 
     Parameters
     ----------
@@ -103,7 +95,7 @@ def write_shape_rig(
         points = _bind_mesh(layer, face, mesh, root.AppendChild(SKELETON), source)
         to_mesh_space = np.linalg.inv(stage_to_ours(source) @ face.world[:3, :3])
         define_prim(layer, root.AppendChild(SHAPES), "Scope")
-        written, targets, extremes = [], [], [points]
+        written, targets, extremes = dict[str, int](), [], [points]
         for shape, given in zip(shapes, shape_names([each.name for each in shapes]), strict=True):
             target = root.AppendPath(f"{SHAPES}/{given}")
             moved = np.flatnonzero(np.linalg.norm(shape.moved_mm, axis=1) >= least_mm)
@@ -114,11 +106,11 @@ def write_shape_rig(
                 )
             offsets = shape.moved_mm[moved] @ to_mesh_space.T
             _define_shape(layer, target, shape, moved, offsets)
-            written.append(WrittenShape(given, len(moved)))
+            written[given] = len(moved)
             targets.append(target)
             extremes.append(points[moved] + offsets)
         binding = layer.GetPrimAtPath(mesh)
-        names = Vt.TokenArray([each.name for each in written])
+        names = Vt.TokenArray(list(written))
         author_uniform(binding, "skel:blendShapes", Sdf.ValueTypeNames.TokenArray, names)
         relation = Sdf.RelationshipSpec(binding, "skel:blendShapeTargets", False)
         relation.targetPathList.explicitItems = targets
@@ -128,7 +120,7 @@ def write_shape_rig(
             layer.GetPrimAtPath(root), "extent", Sdf.ValueTypeNames.Float3Array
         )
         attribute.default = extent
-    return tuple(written)
+    return written
 
 
 def _define_skeleton(layer: Sdf.Layer, path: Sdf.Path) -> None:
