@@ -46,7 +46,7 @@ ONE_JOINT = RigControls(("head",), np.zeros((1, 3)), {}, ())
 
 
 def write_rig(path: Path, rig: Rig, *, controls: RigControls = ONE_JOINT) -> None:
-    """Write a rig: one SkelRoot with a Skeleton, and its meshes bound to it.
+    """Write a rig: one SkelRoot with a Skeleton, and its meshes bound to it, without normals.
 
     `rig`: `rig.prim` is the SkelRoot; mesh paths must be below it.
     """
@@ -95,9 +95,6 @@ def _define_mesh(stage: Usd.Stage, mesh: RigMesh, skeleton: UsdSkel.Skeleton, ri
     if mesh.colors is not None:
         color = geometry.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
         color.Set(vector_array(mesh.colors))
-    if mesh.normals is not None:
-        geometry.CreateNormalsAttr(vector_array(mesh.normals))
-        geometry.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     binding = UsdSkel.BindingAPI.Apply(geometry.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
@@ -196,22 +193,12 @@ def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None
     points = np.unique(np.concatenate([key.points for key in keys]))
     target.CreatePointIndicesAttr(index_array(points))
     for key in keys:
-        offsets = vector_array(_dense_rows(key.points, key.offsets, points) / MM_PER_STAGE_UNIT)
+        dense = np.zeros((len(points), 3))
+        dense[np.searchsorted(points, key.points)] = key.offsets
+        offsets = vector_array(dense / MM_PER_STAGE_UNIT)
         if key.weight == 1.0:
             target.CreateOffsetsAttr(offsets)
         else:
             between = target.CreateInbetween(f"at{round(key.weight * 100)}")
             between.SetWeight(key.weight)
             between.SetOffsets(offsets)
-        if key.normal_offsets is not None:
-            normals = vector_array(_dense_rows(key.points, key.normal_offsets, points))
-            if key.weight == 1.0:
-                target.CreateNormalOffsetsAttr(normals)
-            else:
-                between.CreateNormalOffsetsAttr(normals)
-
-
-def _dense_rows(indices: IntArray, values: FloatArray, points: IntArray) -> FloatArray:
-    spread = np.zeros((len(points), 3))
-    spread[np.searchsorted(points, indices)] = values
-    return spread
