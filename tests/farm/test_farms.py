@@ -19,7 +19,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.farm.plan import FarmStep
-from usdface.farm.submit import named_folders, outline_path, submit
+from usdface.farm.submit import named_folders, submit
 from usdface.specs.commands import SubmitSpec
 from usdface.specs.edits import BakeSpec
 from usdface.usdio.performance.read import read_performance
@@ -280,7 +280,8 @@ def test_the_real_pyoutline_takes_what_we_build(job: Path, monkeypatch) -> None:
     done = submit(SubmitSpec(job=job, farm="opencue", chunk=200, write_only=True))
     from xml.etree import ElementTree
 
-    text = outline_path(done.bundle).read_text(encoding="utf-8").partition('dtd">')[2]
+    outline = done.bundle.with_name(f"{done.bundle.name}.outline.xml")
+    text = outline.read_text(encoding="utf-8").partition('dtd">')[2]
     layers = ElementTree.fromstring(text).findall("job/layers/layer")
     assert [layer.get("name") for layer in layers] == ["map", "join"]
 

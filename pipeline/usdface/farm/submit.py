@@ -127,13 +127,6 @@ def run_bundle(bundle: Path, *, quiet: bool = False) -> None:
     ----------
     quiet : bool
         Redirect the command's output to standard error, for scripts that parse ours.
-
-    Raises
-    ------
-    InputError
-        If `openjd` is not installed.
-    CheckFailedError
-        If a task fails; finished tasks are kept, and running again continues.
     """
     openjd = _find_command(
         "openjd", "install usdface with its farm extra: pip install usdface[farm]"
@@ -149,13 +142,6 @@ def submit_bundle(
     `deadline` uploads job attachments without a question from known folders only. The folders of
     files that the job names are declared known; others, which layers refer to, must be allowed by
     the user in `deadline config`.
-
-    Raises
-    ------
-    InputError
-        If `deadline` is not installed.
-    CheckFailedError
-        If it refuses the bundle.
     """
     deadline = _find_command("deadline", "install it with: pip install deadline")
     command = [deadline, "bundle", "submit", str(bundle), "--yes", "--submitter-name", "usdface"]
@@ -228,14 +214,6 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
         Replace another job's bundle in the same folder.
     quiet : bool
         Redirect the output of the farm's command to standard error.
-
-    Raises
-    ------
-    InputError
-        If inputs of the job are missing, the bundle cannot be written, or the farm's client is not
-        installed.
-    CheckFailedError
-        If the farm refuses the job, or a task of a local run fails.
     """
     submission = _write(spec, overwrite=overwrite)
     bundle, steps = submission.bundle, submission.plan.steps
@@ -243,7 +221,7 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
         launcher = build_outline(submission.job, steps, bundle, priority=spec.priority)
         if spec.write_only:
             text = str(launcher.serialize(use_pycuerun=False))
-            write_text(outline_path(bundle), text)
+            write_text(bundle.with_name(f"{bundle.name}.outline.xml"), text)
         else:
             submit_outline(launcher)
     elif spec.farm == "deadline" and not spec.write_only:
@@ -251,11 +229,6 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     elif not spec.write_only:
         run_bundle(bundle, quiet=quiet)
     return submission
-
-
-def outline_path(bundle: Path) -> Path:
-    """Return the path of the XML of an OpenCue job that is not sent, next to its bundle."""
-    return bundle.with_name(f"{bundle.name}.outline.xml")
 
 
 def describe(submission: Submission) -> tuple[str, ...]:
