@@ -113,7 +113,7 @@ def execute_each(
 
     `done_as` is the step as a participle for the message of failures, such as ``ingested``.
     """
-    made = make_folder(out, remedy="choose another --out")
+    made = create_folder(out, remedy="choose another --out")
     done: list[StepResult] = []
     failed: list[str] = []
     for index, spec in enumerate(specs):
@@ -140,7 +140,7 @@ def execute_each(
     )
 
 
-def make_folder(folder: Path, *, remedy: str) -> list[Path]:
+def create_folder(folder: Path, *, remedy: str) -> list[Path]:
     """Create a folder and its parents; return the new ones, the innermost first."""
     new = [path for path in (folder, *folder.parents) if not path.exists()]
     try:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from usdface.core.errors import CancelledError, UsdfaceError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.runner.execute import execute, make_folder
+from usdface.runner.execute import create_folder, execute
 from usdface.runner.origin import make_provenance
 from usdface.runner.outputs import check_inputs, check_may_be_replaced
 from usdface.runner.result import StepResult
@@ -110,7 +110,7 @@ def run_job(
 def make_folders(job: JobSpec) -> None:
     """Create the folders that a job writes to: a farm's worker may lack them."""
     for folder in {path.parent for step in job.steps for path in step.paths(Writes)}:
-        make_folder(folder, remedy="change the job's outputs")
+        create_folder(folder, remedy="change the job's outputs")
 
 
 def _labelled(progress: Progress, label: str) -> Progress:
