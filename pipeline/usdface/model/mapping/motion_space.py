@@ -40,10 +40,6 @@ def fit_motion_space(
         raise InputError(
             f"the motion space needs at least 2 frames, got {frames}; give longer takes"
         )
-    if dimensions < 1 or sample_count < 1:
-        raise InputError(
-            f"dimensions {dimensions} and sample_count {sample_count} must be positive"
-        )
     counts = sorted({clip.shape[1] for clip in clips})
     if len(counts) > 1:
         raise InputError(

@@ -68,10 +68,6 @@ def warp_motion(
         last bit. Finite, as published (there 1): changes decay with the distance, and blends have
         no constraints.
     """
-    if motion.ndim != 2:
-        raise ValueError(f"a motion is (frames, controls), got {motion.shape}")
-    if blend < 0 or not keep > 0:
-        raise ValueError(f"blend must not be negative and keep be positive, got {blend}, {keep}")
     ordered = sorted(insertions, key=lambda each: each.start)
     for insertion in ordered:
         _check(insertion, motion.shape)
@@ -112,11 +108,6 @@ def solve_warp(
         Of each frame's squared distance from its target.
     fixed_before, fixed_after : bool
         Whether X is 0 at the frame before the first, or after the last.
-
-    Raises
-    ------
-    ValueError
-        If there is no constraint, so that X is determined only up to a constant.
     """
     if not (weights.any() or fixed_before or fixed_after):
         raise ValueError("every weight is 0, so the warped motion is undetermined")

@@ -104,10 +104,6 @@ def fit_marker_basis(
         Motion of the rig over that of the performer, the inverse of the prior gain. By default
         estimated by registration.
     """
-    if skin.ndim != 3 or skin.shape[2] != 3 or skin.shape[0] != weights.shape[1]:
-        raise ValueError(f"skin {skin.shape} and weights {weights.shape} do not fit together")
-    if markers.shape[0] != len(weights):
-        raise ValueError(f"{markers.shape[0]} marker clouds but {len(weights)} weights")
     motion = (markers - markers.mean(axis=0)).transpose(1, 0, 2)
     flat = (weights - weights.mean(axis=0)) @ skin.reshape(len(skin), -1)
     skin_motion = np.ascontiguousarray(flat.reshape(len(weights), -1, 3).transpose(1, 0, 2))

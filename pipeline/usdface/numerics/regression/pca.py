@@ -51,8 +51,6 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
     count = 0
     for block in blocks:
         rows = np.asarray(block)
-        if rows.ndim != 2:
-            raise ValueError(f"expected blocks of shape (rows, columns), got {rows.shape}")
         for piece in frame_blocks(len(rows), frames=_BLOCK_ROWS):
             part = rows[piece].astype(np.float64)
             if origin is None or total is None or scatter is None:

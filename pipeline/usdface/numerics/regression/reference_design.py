@@ -290,8 +290,6 @@ def _choose_greedily(
 
 def _known_rows(features: FloatArray, count: int, already: IntArray | None) -> IntArray:
     """Return the rows that are part of the design, of checked arguments."""
-    if features.ndim != 2 or not len(features):
-        raise ValueError(f"features must be (frames, dimensions), got {features.shape}")
     if not np.isfinite(features).all():
         bad = int(np.flatnonzero(~np.isfinite(features).all(axis=1))[0])
         raise ValueError(f"features of row {bad} are not finite")

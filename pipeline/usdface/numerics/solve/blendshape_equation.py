@@ -317,11 +317,6 @@ def _checked(
     deltas: ArrayLike, motion: ArrayLike, visible: ArrayLike | None, trust: ArrayLike | None
 ) -> _Problem:
     D, m = np.asarray(deltas, float), np.asarray(motion, float)
-    if D.ndim != 3 or m.ndim != 3 or D.shape[1:] != m.shape[1:] or D.shape[2] != 3:
-        raise ValueError(
-            f"deltas (shapes, markers, 3) and motion (frames, markers, 3) must share markers; "
-            f"got {D.shape} and {m.shape}"
-        )
     seen = np.ones(m.shape[:2], bool) if visible is None else np.asarray(visible, bool)
     share = np.ones(m.shape[1]) if trust is None else np.asarray(trust, float)
     if seen.shape != m.shape[:2] or share.shape != m.shape[1:2] or not (share >= 0).all():

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -72,10 +71,6 @@ class BlendShapes:
         keys: list[Key] = []
         for track in tracks:
             ordered = sorted(track.keys, key=lambda key: key.weight)
-            if any(a.weight == b.weight for a, b in pairwise(ordered)):
-                raise ValueError(
-                    f"channel {track.channel} has two keys at one weight; keep one of them"
-                )
             knots = [(key.weight, len(keys) + row) for row, key in enumerate(ordered)]
             self._knots.append((track.channel, knots))
             keys.extend(ordered)

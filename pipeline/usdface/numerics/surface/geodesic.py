@@ -141,13 +141,9 @@ def _between(
 
 
 def _check_places(face_counts: IntArray, face_indices: IntArray, places: SurfacePoints) -> None:
-    corners, weights, count = places.corners, places.weights, len(places.faces)
-    if corners.shape != (count, 3) or weights.shape != (count, 3):
-        raise ValueError(
-            f"{count} faces, {corners.shape} corners and {weights.shape} weights do not pair up"
-        )
+    corners, weights = places.corners, places.weights
     starts = np.cumsum(face_counts) - face_counts
-    for place in range(count):
+    for place in range(len(places.faces)):
         face = int(places.faces[place])
         if not 0 <= face < len(face_counts):
             raise ValueError(

@@ -230,8 +230,6 @@ class WeightsWriter:
 
         `copied_to`: called with the last frame of every block.
         """
-        if first != self.next_frame:
-            raise ValueError(f"frame {self.next_frame} comes next, not {first}")
         write, block = self._layer.SetTimeSample, min(self._save_frames, COPY_FRAMES)
         copied = []
         for path in (self._weights, *self._figures):

@@ -113,8 +113,7 @@ class PointsWriter:
             self.next_frame += 1
 
     def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
-        if self._layer is None:
-            raise ValueError("the writer is closed")
+        assert self._layer is not None
         for name, values in rows:
             value = _sample(values)
             self._layer.SetTimeSample(self._place.AppendProperty(name), frame, value)
