@@ -139,15 +139,11 @@ def _from_htk(path: Path, text: str) -> PhoneTrack:
     ]
     words: list[Span] = []
     for span, (_, _, fields) in zip(phones, rows, strict=True):
-        if len(fields) > 1 and not _is_number(fields[-1]):
+        if len(fields) > 1 and not re.fullmatch(r"-?\d+(\.\d+)?", fields[-1]):  # a score
             words.append(Span(span.start, span.end, fields[-1]))
         elif words and viseme_of(span.label) != "pau":
             words[-1] = Span(words[-1].start, span.end, words[-1].label)
     return _track(path, phones, words, [])
-
-
-def _is_number(text: str) -> bool:
-    return re.fullmatch(r"-?\d+(\.\d+)?", text) is not None
 
 
 def _from_json(path: Path, text: str) -> PhoneTrack:

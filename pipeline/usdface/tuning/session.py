@@ -162,11 +162,13 @@ class TuningSession:
                 )
                 for pair in np.flatnonzero(self._tuned()).tolist()
             ]
+            made = read_provenance(self.tuned_path) if self.tuned_path.is_file() else None
             write_tuned_layer(
                 replace(self.references, weights=self._proposals),
                 tuned,
                 layer_path=self.tuned_path,
-                provenance=self._layer_provenance(),
+                # That of the layer, if it has one, so that jobs do not make it again.
+                provenance=made or self.provenance(proposed_path(self.path)),
             )
             flush_folder(self.tuned_path.parent)  # before the journal is removed
             self._journal.clear()
@@ -238,12 +240,6 @@ class TuningSession:
                     raise InputError(f"{where} names {name!r}, which is not a shape of the rig")
                 if abs(value) > 100.0:
                     raise InputError(f"{where}: {name} cannot be {value}; keep it near 0 to 1")
-
-    def _layer_provenance(self) -> Provenance:
-        """Return the layer's provenance, if it has one, so that jobs do not make it again."""
-        if self.tuned_path.is_file() and (made := read_provenance(self.tuned_path)) is not None:
-            return made
-        return self.provenance(proposed_path(self.path))
 
     def provenance(self, proposals: Path) -> Provenance:
         """Return the provenance of changes to proposals, a layer."""

@@ -131,7 +131,8 @@ def judge_markers(
     motion = SkinMotion.of(markers.positions[:, face], usable[:, face], rows, rate or 0.0)
     if fits:
         found += [*_labelled_size(fits), *_labelled_up(fits, axes), *_mirrored(fits)]
-    body = not fits and _is_body(markers.names)
+    of_body = sum(_BODY.match(label) is not None for label in markers.names)
+    body = not fits and of_body > _BODY_SHARE * len(markers.names)
     head = bool(fits) or not (motion.articulated or body)
     if not (head or body):
         words = "the markers do not move as one head"
@@ -325,10 +326,6 @@ def _part(labels: Sequence[str], seen: BoolArray) -> Iterable[PlausibilityFindin
                 + ("" if known else f", unless {unnamed} without such a label cover it"),
                 "label its markers, or state with --partial that it has none",
             )
-
-
-def _is_body(labels: Sequence[str]) -> bool:
-    return sum(_BODY.match(label) is not None for label in labels) > _BODY_SHARE * len(labels)
 
 
 def _speed(motion: SkinMotion) -> Iterable[PlausibilityFinding]:

@@ -129,11 +129,6 @@ def clean_markers(
         Longest gap to fill [frames].
     smooth, relabel : bool
         Whether to smooth, and to exchange swapped labels.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, `neutral` or `max_gap` is out of range, or a marker is never visible.
     """
     captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
@@ -159,6 +154,9 @@ def clean_markers(
     model = fit_low_rank(take.positions, good, rank_limit=rank, start=model, noise=noise)
     sigma = float(np.median(noise))
     gaps = complete_take(take.positions, good, model=model, max_gap=max_gap, noise=sigma, rate=rate)
+    for swap in swaps:
+        relabelled = [swap.first, swap.second]
+        gaps.confidence[swap.start : swap.stop, relabelled] *= _RELABELLED_CONFIDENCE
     if smooth:
         progress(0.8, "noise")
         smooth_take(take.positions, model, noise=noise)
@@ -168,7 +166,7 @@ def clean_markers(
     return CleanedMarkers(
         positions=take.positions,
         visible=known,
-        confidence=_scale_confidence(gaps.confidence, swaps, take.pose_confidence),
+        confidence=gaps.confidence * take.pose_confidence[:, None].astype(np.float32),
         head_motion=take.head_motion,
         swaps=swaps,
         outliers=outliers,
@@ -192,11 +190,6 @@ def _refine_pose_and_slips(
 
 
 def _check(captured: Float32Array, seen: BoolArray, neutral: int, max_gap: int) -> None:
-    if captured.ndim != 3 or captured.shape[2] != 3 or seen.shape != captured.shape[:2]:
-        raise ValueError(
-            f"positions {captured.shape} and visible {seen.shape} must be (frames, markers, 3) "
-            "and (frames, markers)"
-        )
     if not 0 <= neutral < len(captured):
         raise ValueError(f"neutral frame index {neutral} is outside 0 to {len(captured) - 1}")
     if max_gap < 0:
@@ -364,14 +357,3 @@ def _refine_pose(take: _StabilizedTake, good: BoolArray, model: LowRankModel) ->
             motion[block] = motion[block] @ turn.matrices()
 
         map_threads(align, frame_blocks(len(positions)))
-
-
-def _scale_confidence(
-    confidence: Float32Array,
-    swaps: tuple[Swap, ...],
-    pose_confidence: FloatArray,
-) -> Float32Array:
-    for swap in swaps:
-        confidence[swap.start : swap.stop, [swap.first, swap.second]] *= _RELABELLED_CONFIDENCE
-    confidence *= pose_confidence[:, None].astype(np.float32)
-    return confidence

@@ -63,7 +63,7 @@ def triangulate_points(
     for _ in range(_NEWTON_ROUNDS):
         normal, right = np.zeros((*shape, 3, 3)), np.zeros((*shape, 3))
         for xy, weight, pose in zip(image, trust, poses, strict=True):
-            local = _camera_space(pose, points)
+            local = points @ pose.rotation.T + pose.translation
             z = np.maximum(local[..., 2], _NEAREST_DEPTH)
             for axis in range(2):
                 projected = local[..., axis] / z
@@ -72,10 +72,6 @@ def triangulate_points(
         points = points + _solve(normal, right, enough)
     points[~enough] = np.nan
     return points
-
-
-def _camera_space(pose: CameraPose, points: FloatArray) -> FloatArray:
-    return points @ pose.rotation.T + pose.translation
 
 
 def _add(

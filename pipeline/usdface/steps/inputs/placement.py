@@ -162,12 +162,6 @@ def _rows_by_name(placement: RigPlacement) -> dict[str, int]:
     }
 
 
-def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
-    """Read a placement, and judge it for takes."""
-    placement = read_placement_of(path, rig, takes.marker_names, takes.neutral)
-    return PlacementScene(takes, rig).judge(placement)
-
-
 def read_placement_of(
     path: Path, rig: Rig, names: tuple[str, ...], neutral: FloatArray
 ) -> RigPlacement:

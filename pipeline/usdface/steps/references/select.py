@@ -40,9 +40,9 @@ from usdface.steps.inputs.placement import (
     PlacedTakes,
     PlacementScene,
     draw_placement,
-    judge_stored,
     placement_figures,
     placement_notes,
+    read_placement_of,
 )
 from usdface.steps.inputs.scene import (
     SelectionScene,
@@ -114,7 +114,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress) -> Step
     warnings = plausibility_notes(takes, spec.takes, rig)
     progress(0.1, "placing the markers on the rig")
     if spec.placement is not None:
-        placed = judge_stored(spec.placement, takes, rig)
+        stored = read_placement_of(spec.placement, rig, takes.marker_names, takes.neutral)
+        placed = PlacementScene(takes, rig).judge(stored)
     else:
         landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
         placed = PlacementScene(takes, rig).place(out=placement_path(spec.out), landmarks=landmarks)

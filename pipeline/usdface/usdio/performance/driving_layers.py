@@ -185,13 +185,9 @@ def join_driving_layers(
         layer.TransferContent(open_layer(layers[0]))
         layer.endTimeCode = last_frame
         for other in map(open_layer, layers[1:]):
-            _copy_samples(other, layer)
-
-
-def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:
-    for path in sampled_properties(source):
-        for time in source.ListTimeSamplesForPath(path):
-            target.SetTimeSample(path, time, source.QueryTimeSample(path, time))
+            for place in sampled_properties(other):
+                for time in other.ListTimeSamplesForPath(place):
+                    layer.SetTimeSample(place, time, other.QueryTimeSample(place, time))
 
 
 def _driven(performance: Path, file: Path) -> list[str]:
