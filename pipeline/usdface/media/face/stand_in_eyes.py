@@ -5,7 +5,6 @@ straight ahead and follow the skull; they are drawn, never written.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -24,19 +23,12 @@ _ANCHOR_COUNT = 64
 _ROWS, _COLUMNS = 24, 48
 
 
-@dataclass(frozen=True)
-class StandIns:
-    """Eyeballs and their attachment to a rig's points."""
+def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> tuple[list[RigMesh], Sparse] | None:
+    """Return eyeballs behind the two holes whose rims move in a blink; None without such a pair.
 
-    meshes: tuple[RigMesh, ...]
-    """Named as eyes, at rest."""
-    matrix: Sparse
-    """(ball points, points): ball points = matrix @ points, exact under rigid motion of the
-    head."""
-
-
-def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
-    """Return eyeballs behind the two holes whose rims move in a blink; None without such a pair."""
+    Returns meshes at rest, named as eyes, and the matrix (ball points, points) that attaches them
+    to the rig's points, exact under rigid motion of the head.
+    """
     rest = np.concatenate([mesh.points for mesh in meshes])
     blink = np.concatenate([blink_offsets(mesh) for mesh in meshes])
     moved = np.linalg.norm(blink, axis=1)
@@ -61,7 +53,7 @@ def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
         for shape in mesh.shapes:
             key = shape.keys[-1]
             own[key.points] += np.linalg.norm(key.offsets, axis=1)
-    return StandIns(meshes=tuple(balls), matrix=_hang(every, rest, np.concatenate(total)))
+    return balls, _hang(every, rest, np.concatenate(total))
 
 
 def blink_offsets(mesh: RigMesh) -> FloatArray:

@@ -105,8 +105,9 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     drawn, pieces = _recognise(visible)
     stand_ins = None if np.any(pieces.parts == FacePart.EYE) else fit_stand_in_eyes(visible)
     if stand_ins is not None:
-        visible = [*visible, *stand_ins.meshes]
-        selection = sparse.vstack([selection, stand_ins.matrix @ selection])
+        balls, attached = stand_ins
+        visible = [*visible, *balls]
+        selection = sparse.vstack([selection, attached @ selection])
         drawn, pieces = _recognise(visible)
     parts = pieces.parts[pieces.of_point[drawn.corner_of_triangle]]
     eye_rows = index_of(pieces.eyeballs)

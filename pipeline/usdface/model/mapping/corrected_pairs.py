@@ -121,13 +121,13 @@ def correct_pairs(
     scales, keys = forward.scales, forward.targets
     low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
     for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
-        posterior = correct_keys(forward, keys, scales.tau, inflation=key_inflation)
-        if posterior.targets is forward.targets:  # not corrected: too many shapes
+        mode, variance = correct_keys(forward, keys, scales.tau, inflation=key_inflation)
+        if mode is forward.targets:  # not corrected: too many shapes
             break
-        corrected = low + span * unbend(posterior.targets, scales.curve)
+        corrected = low + span * unbend(mode, scales.curve)
         pairs = replace(pairs, outputs=corrected)
         # The errors of corrected keys are those of the posterior.
-        share = posterior.variance.sum() / scales.key_variance(keys).sum()
+        share = variance.sum() / scales.key_variance(keys).sum()
         forward = fit_pairs_forward(
             pairs, replace(scales, tau=scales.tau * float(np.sqrt(share))), prior
         )
@@ -164,24 +164,14 @@ def _equalise_gains(
     return scaled, fit_pairs_forward(scaled, scales, prior), log_factor
 
 
-@dataclass(frozen=True)
-class KeyPosterior:
-    """Posterior of the keys of references, given their markers."""
-
-    targets: FloatArray
-    """(pairs, shapes): posterior mode of the bent keys."""
-    variance: FloatArray
-    """(pairs, shapes): posterior variance."""
-
-
 def correct_keys(
     forward: ForwardModel,
     keys: FloatArray,
     tau: float,
     *,
     inflation: float = KEY_INFLATION,
-) -> KeyPosterior:
-    """Return the posterior of the keys given the markers of their pairs.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the posterior mode and variance of the bent keys, (pairs, shapes), given the markers.
 
     The prior is centred on the keys. Half of its variance is a gain common to all shapes of the
     pair, half is independent per shape::
@@ -202,9 +192,9 @@ def correct_keys(
     solver, current = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
     _, slope = solver.linearise(current)
     if slope is None:  # too many shapes for a Jacobian per pair: keys stay
-        return KeyPosterior(current, replace(forward.scales, tau=tau).key_variance(keys))
+        return current, replace(forward.scales, tau=tau).key_variance(keys)
     if tau == 0:
-        return KeyPosterior(current, np.zeros_like(current))
+        return current, np.zeros_like(current)
     weighted = slope / np.repeat(inflation * forward.leave_one_out_variance, 3, axis=1)[:, None]
     diagonal = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
     precision = np.linalg.inv(0.5 * (diagonal + tau**2 * keys[:, :, None] * keys[:, None]))
@@ -221,7 +211,7 @@ def correct_keys(
         steps=_KEY_GRADIENT_STEPS,
     )
     variance = np.einsum("nss->ns", np.linalg.inv(hessian))
-    return KeyPosterior(np.clip(current + step, 0.0, 1.0), variance)
+    return np.clip(current + step, 0.0, 1.0), variance
 
 
 def find_contradicted(

@@ -60,14 +60,6 @@ class KernelCCA:
     """(s,): from the centring of kernel and target."""
 
 
-@dataclass(frozen=True)
-class _Spectrum:
-    """A centred kernel matrix without its null space: ``vectors @ diag(values) @ vectors.T``."""
-
-    values: FloatArray
-    vectors: FloatArray
-
-
 def median_width(points: FloatArray, *, multiple: float = 1.0) -> float:
     """Return a multiple of the median distance between points."""
     from scipy.spatial.distance import pdist  # imported late: it takes half a second
@@ -121,20 +113,21 @@ def fit_kernel_cca(
         raise ValueError(f"components must be at least 1, got {components}")
     penalty = kappa * len(S)
     kernel = _kernel(S, S, source_width)
-    a, b = _centred_spectrum(kernel), _centred_spectrum(_kernel(T, T, target_width))
+    values_a, vectors_a = _centred_spectrum(kernel)
+    values_b, vectors_b = _centred_spectrum(_kernel(T, T, target_width))
     # In the kernels' eigenvectors, scaled so that both constraints of eq. 5 are unit balls, eq. 5
     # is a singular value problem.
-    shrunk_a = np.sqrt(a.values / (a.values + penalty))
-    shrunk_b = np.sqrt(b.values / (b.values + penalty))
+    shrunk_a = np.sqrt(values_a / (values_a + penalty))
+    shrunk_b = np.sqrt(values_b / (values_b + penalty))
     left, correlations, right = np.linalg.svd(
-        shrunk_a[:, None] * (a.vectors.T @ b.vectors) * shrunk_b, full_matrices=False
+        shrunk_a[:, None] * (vectors_a.T @ vectors_b) * shrunk_b, full_matrices=False
     )
     count = max(1, int((correlations > _LEAST_CORRELATION).sum()))
     count = count if components is None else min(count, components)
     left, correlations, right = left[:, :count], correlations[:count], right[:count].T
-    basis = a.vectors @ (left / np.sqrt(a.values * (a.values + penalty))[:, None])
-    reduced_source = a.vectors @ (shrunk_a[:, None] * left)
-    reduced_target = b.vectors @ (shrunk_b[:, None] * right)
+    basis = vectors_a @ (left / np.sqrt(values_a * (values_a + penalty))[:, None])
+    reduced_source = vectors_a @ (shrunk_a[:, None] * left)
+    reduced_target = vectors_b @ (shrunk_b[:, None] * right)
     mean = T.mean(axis=0)
     if lines == "published":
         across = np.linalg.lstsq(reduced_source, reduced_target)[0]
@@ -173,9 +166,10 @@ def _kernel(points: FloatArray, centres: FloatArray, width: float) -> FloatArray
     return gaussian_design(points, centres, np.full(len(centres), width))
 
 
-def _centred_spectrum(kernel: FloatArray) -> _Spectrum:
+def _centred_spectrum(kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues and eigenvectors of a centred kernel matrix, without its null space."""
     centred = kernel - kernel.mean(axis=0)
     centred -= centred.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh((centred + centred.T) / 2)
     real = values > _NULL_SHARE * max(float(values[-1]), np.finfo(float).tiny)
-    return _Spectrum(values[real], vectors[:, real])
+    return values[real], vectors[:, real]
