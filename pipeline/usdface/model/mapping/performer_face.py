@@ -1,14 +1,14 @@
 """A performer's head space, neutral face and sample of expressions, to which takes are aligned."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model.mapping.motion_space import motion_of, thinned_sample
+from usdface.model.mapping.motion_space import motion_of, sampled_frames, thinned_sample
 from usdface.numerics.rigid.pose_error import ExpressionMotion
 
 
@@ -71,10 +71,8 @@ def face_of_references(references: References) -> PerformerFace:
     """Return the face of references, with frames of their motion space or else their pairs."""
     frames = references.markers.astype(np.float64)
     if references.motion is not None and len(references.motion.sample):
-        flat = references.motion.mean + thinned_sample(references.motion) @ (
-            references.motion.components
-        )
-        frames = flat.reshape(len(flat), -1, 3)
+        thinned = replace(references.motion, sample=thinned_sample(references.motion))
+        frames = sampled_frames(thinned)
     return PerformerFace(
         references.marker_names,
         references.rigid,
