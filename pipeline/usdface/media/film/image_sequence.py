@@ -5,14 +5,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813
 
 from usdface.core.arrays import ByteImage
-from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.media.film.timed_frames import OpenVideo
-from usdface.media.picture.color import bytes_from_linear
-from usdface.media.picture.image import check_size, reason_of
+from usdface.media.picture.image import read_picture
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
@@ -50,17 +47,4 @@ class ImageSequence(OpenVideo):
 
     def frame(self, index: int) -> ByteImage:
         """Read a picture by its index."""
-        path = self._files[index]
-        check_may_open(path)
-        picture = oiio.ImageInput.open(str(path))
-        if picture is None:
-            raise InputError(f"{path}: no picture that can be read ({reason_of(oiio)})")
-        check_size(path, picture.spec())
-        linear = path.suffix.lower() == ".exr"
-        pixels = picture.read_image(format="float" if linear else "uint8")
-        reason = reason_of(picture)
-        picture.close()
-        if pixels is None:
-            raise InputError(f"{path}: damaged: {reason}; copy or write it again")
-        pixels = pixels[..., [0, 0, 0] if pixels.shape[2] < 3 else [0, 1, 2]]
-        return bytes_from_linear(pixels) if linear else np.ascontiguousarray(pixels)
+        return read_picture(self._files[index])

@@ -228,30 +228,28 @@ def encode_image(
     return stream.getvalue()
 
 
-def check_size(path: Path, spec: oiio.ImageSpec) -> None:
-    """Refuse a picture with more than `MAX_VALUES` values, before it is read."""
+def read_picture(path: Path) -> ByteImage:
+    """Read a picture as (height, width, 3) sRGB bytes; the linear light of EXR is encoded."""
+    check_may_open(path)
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputError(f"{path}: cannot be read as a picture ({reason_of(oiio)})")
+    spec, linear = source.spec(), path.suffix.lower() == ".exr"
     if spec.width * spec.height * spec.nchannels > MAX_VALUES:
         raise InputError(
             f"{path}: {spec.width} × {spec.height} with {spec.nchannels} channels is too large to "
             "be shown; write it smaller"
         )
-
-
-def read_picture(path: Path) -> ByteImage:
-    """Read a picture as (height, width, 3) bytes."""
-    check_may_open(path)
-    buffer = oiio.ImageBuf(str(path))
-    if buffer.has_error:
-        raise InputError(f"{path}: cannot be read as a picture ({reason_of(buffer)})")
-    check_size(path, buffer.spec())
-    pixels = buffer.get_pixels("uint8")
-    if buffer.has_error or pixels is None or pixels.ndim != 3:  # missing rows would be black
+    pixels = source.read_image(format="float" if linear else "uint8")
+    reason = reason_of(source)
+    source.close()
+    if pixels is None:
         raise InputError(
-            f"{path}: cannot be read as a picture ({reason_of(buffer)}): it may be cut short or "
-            "damaged; copy or write it again"
+            f"{path}: cannot be read as a picture ({reason}): it may be cut short or damaged; copy "
+            "or write it again"
         )
-    channels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
-    return np.ascontiguousarray(channels)
+    pixels = pixels[..., [0, 0, 0] if pixels.shape[2] < 3 else [0, 1, 2]]
+    return bytes_from_linear(pixels) if linear else np.ascontiguousarray(pixels)
 
 
 def reason_of(source: Any) -> str:
