@@ -220,6 +220,14 @@ def test_every_field_of_every_spec_is_documented() -> None:
             assert name == "step" or name in field_help(spec), f"{spec.__name__}.{name}"
 
 
+def test_a_package_without_source_has_options_without_help(monkeypatch) -> None:
+    def no_source(owner: type) -> str:
+        raise OSError("could not get source code")
+
+    monkeypatch.setattr("inspect.getsource", no_source)
+    assert field_help.__wrapped__(MapSpec) == {}
+
+
 def test_committed_json_schemas_are_those_of_the_models() -> None:
     schemas = json_schemas()
     assert {path.name for path in JSON_SCHEMAS.glob("*.json")} == set(schemas)

@@ -87,11 +87,15 @@ def field_help(spec: type["Spec"]) -> Mapping[str, str]:
     """Return the docstrings of a spec's fields.
 
     They are read when they are shown: pydantic's `use_attribute_docstrings` would read those of all
-    specs when a command starts, a quarter of the time that ``--help`` takes.
+    specs when a command starts, a quarter of the time that ``--help`` takes. Empty where the
+    package is installed without its source.
     """
     found = {}
     for owner in reversed(spec.__mro__[: spec.__mro__.index(Spec) + 1]):
-        (tree,) = ast.parse(inspect.getsource(owner)).body
+        try:
+            (tree,) = ast.parse(inspect.getsource(owner)).body
+        except OSError:
+            return {}
         for field, text in pairwise(getattr(tree, "body", ())):
             match field, text:
                 case (
