@@ -246,9 +246,9 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
     normals = triangle_normals(points, corners) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
-    at_samples = deltas_at(matrix.astype(np.float32), corners, shares.astype(np.float32))
-    by_axis = frame.astype(np.float32) @ np.ascontiguousarray(np.moveaxis(at_samples, 2, 1))
-    moved = np.sqrt((by_axis**2).sum(axis=(0, 1), dtype=np.float64))
+    by_axis = np.ascontiguousarray(np.moveaxis(deltas_at(matrix, corners, shares), 2, 1))
+    deltas = np.moveaxis((frame @ by_axis).astype(np.float32), 1, 2)
+    moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
     unit = rms_radius(skin.positions, moved) / TYPICAL_SIZE_MM
     positions = skin.positions @ frame.T / unit
     return FaceSkin(
@@ -259,7 +259,7 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
         positions,
         normals,
         skin.areas / unit**2,
-        np.moveaxis(by_axis / np.float32(unit), 1, 2),
+        deltas / np.float32(unit),
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
     )
 

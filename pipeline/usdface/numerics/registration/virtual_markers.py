@@ -5,7 +5,6 @@ Deng et al. (2006) chose vertices by hand; `model.placement` places them automat
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -105,8 +104,8 @@ def certain_errors(errors: PoseErrors) -> PoseErrors:
     return replace(errors, size_mm=errors.size_mm * (errors.noise_scale < LARGEST_NOISE_SCALE))
 
 
-def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: RealArray) -> Any:
-    """Return the shapes' offsets at points inside triangles, of their type: (shapes, n, 3).
+def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: FloatArray) -> FloatArray:
+    """Return the shapes' offsets at points inside triangles, by a sparse product: (shapes, n, 3).
 
     Parameters
     ----------
@@ -121,4 +120,4 @@ def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: RealArray) -
     pick = sparse.csc_array(
         (np.repeat(weights.ravel(), 3), (rows, columns)), shape=(matrix.shape[1], 3 * samples)
     )
-    return (matrix @ pick).toarray().reshape(-1, samples, 3)
+    return np.asarray((matrix @ pick).toarray(), float).reshape(-1, samples, 3)
