@@ -1,7 +1,7 @@
 """Positions of a face's landmarks at a take's frames, from one camera or triangulated."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -136,15 +136,7 @@ def join_views(
 
 def _rows_of(view: FaceView, first: int, stop: int) -> FaceView:
     rows = slice(first - view.first_frame, stop - view.first_frame)
-    return FaceView(
-        first,
-        view.positions[rows],
-        view.confidence[rows],
-        view.visible[rows],
-        view.present[rows],
-        view.scores[rows],
-        view.closed[rows],
-    )
+    return FaceView(first, *(getattr(view, each.name)[rows] for each in fields(view)[1:]))
 
 
 def _relative(cameras: Sequence[CalibratedCamera]) -> list[CameraPose]:
