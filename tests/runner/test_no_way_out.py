@@ -182,7 +182,7 @@ WAYS = {
         ("core.side_files.check_may_open", "core.side_files.confinement_root"),
     ),
     "a later picture of a sequence is a link": Way(
-        link_sequence, see_sequence, ("media.film.image_sequence.check_may_open",)
+        link_sequence, see_sequence, ("media.picture.image.check_may_open",)
     ),
     "a take that tuning finds by provenance names a video outside": Way(
         name_video,
