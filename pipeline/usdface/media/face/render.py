@@ -37,6 +37,7 @@ class _Pose:
     """`fine`, `normals`: (drawn points, 3)"""
     tracer: Tracer
     first: dict[tuple[Camera, int, int, Quality], FirstHits] = field(default_factory=dict)
+    """First hits of the last camera."""
 
 
 class FaceRenderer:
@@ -118,6 +119,7 @@ class FaceRenderer:
         )
         framing = camera, width, height, quality
         if framing not in pose.first:
+            pose.first.clear()  # they are large, and a camera may turn around a pose
             pose.first[framing] = cast_first(view)
         picture = draw(view, pose.first[framing])
         return (bytes_from_linear if view.heat else self._display)(picture)
