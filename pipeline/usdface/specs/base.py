@@ -86,9 +86,9 @@ def _marks(spec: type["Spec"]) -> list[tuple[str, Any]]:
 def field_help(spec: type["Spec"]) -> Mapping[str, str]:
     """Return the docstrings of a spec's fields.
 
-    They are read when they are shown: pydantic's `use_attribute_docstrings` would read those of all
-    specs when a command starts, a quarter of the time that ``--help`` takes. Empty where the
-    package is installed without its source.
+    For the command that runs: pydantic's `use_attribute_docstrings` would read those of all specs
+    when any command starts, a quarter of the time that ``--help`` takes. Empty where the package is
+    installed without its source.
     """
     found = {}
     for owner in reversed(spec.__mro__[: spec.__mro__.index(Spec) + 1]):
