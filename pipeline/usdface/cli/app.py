@@ -1,9 +1,7 @@
 """All commands: those of steps are generated from their specs, the others are functions."""
 
-import atexit
 import contextlib
 import errno
-import gc
 import os
 import sys
 import traceback
@@ -99,8 +97,6 @@ def _top(
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     raise_on_signals()
-    if arguments is None:
-        atexit.register(gc.freeze)  # exit without a last collection, of .15 s
     try:
         _run(sys.argv[1:] if arguments is None else arguments)
     except SystemExit as ended:
