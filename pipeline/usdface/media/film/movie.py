@@ -135,7 +135,10 @@ def _encode(
     for number, picture in _changes(pictures) if proxy else enumerate(pictures):
         padded = _padded(picture, size)
         frame = av.VideoFrame.from_ndarray(padded, format="rgb24")
-        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        # Threads of the converter are started for each picture, which takes longer than converting.
+        frame = frame.reformat(
+            format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG", threads=1
+        )
         frame.pts, frame.time_base = number, 1 / rate
         container.mux(video.encode(frame))
         if sound is not None:

@@ -205,7 +205,7 @@ def _even_rate(stamps: IntArray, base: Fraction, stated: Fraction | None) -> Fra
 
 def _upright(frame: Any, aspect: Fraction | None) -> ByteImage:
     """Convert to sRGB bytes, upright and with square pixels; `aspect`: of the frame's pixels."""
-    options: dict[str, Any] = {"format": "rgb24"}
+    options: dict[str, Any] = {"format": "rgb24", "threads": 1}  # see `media.film.movie`
     if int(frame.colorspace) == 2 and frame.height >= 720:
         # Unspecified: players assume BT.709 for HD, the converter BT.601.
         options["src_colorspace"] = "ITU709"
