@@ -158,12 +158,15 @@ def equal_rows(rows: BoolArray | FloatArray) -> list[IntArray]:
         return []
     if (rows == rows[0]).all():
         return [np.arange(len(rows))]
-    keys: NDArray[Any] = rows
+    keys: NDArray[Any]
     if rows.dtype == np.bool_:
-        keys = np.packbits(rows.astype(np.bool_, copy=False), axis=1)  # sorted much faster
-    _, group = np.unique(keys, axis=0, return_inverse=True)
-    order = np.argsort(group.ravel(), kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)
+        keys = np.packbits(rows.astype(np.bool_, copy=False), axis=1)
+    else:
+        keys = rows + 0.0  # -0 becomes 0, which it is equal to
+    groups: dict[bytes, list[int]] = {}
+    for index, key in enumerate(keys):
+        groups.setdefault(key.tobytes(), []).append(index)
+    return [np.array(group) for group in groups.values()]
 
 
 def smoothstep(values: NDArray[Real], low: float = 0.0, high: float = 1.0) -> NDArray[Real]:
