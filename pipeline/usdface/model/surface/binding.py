@@ -224,6 +224,7 @@ def bind_at(
         faces[pinned], corners[pinned] = on_skin.faces, on_skin.corners
         weights[pinned] = on_skin.weights
         places = replace(places, faces=faces, corners=corners, weights=weights)
+    places = places.rounded()  # as steps that read the binding find them
     at = places.positions(mesh.points)
     fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
     size = rms_radius(at)

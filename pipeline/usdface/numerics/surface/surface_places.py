@@ -3,7 +3,7 @@
 With one weight per corner of the polygon, a place does not depend on the triangulation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -26,6 +26,11 @@ class SurfacePoints:
     def positions(self, points: FloatArray) -> FloatArray:
         """Return the positions of the places: (places, 3), in the points' unit."""
         return np.asarray(np.einsum("pk,pkc->pc", self.weights, points[self.corners]))
+
+    def rounded(self) -> "SurfacePoints":
+        """Return the places with weights that single precision holds, with sum 1, exactly."""
+        first = np.floor(self.weights[:, :2] * 2**20) / 2**20
+        return replace(self, weights=np.column_stack([first, 1 - first.sum(axis=1)]))
 
 
 def places_at_points(

@@ -171,7 +171,7 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurfac
         prim = define_prim(layer, _MARKERS.AppendChild(unique), "Sphere")
         apply_api(prim, "FaceMarkerBindingAPI")
         confidence = float(binding.confidence[index])
-        weights = Vt.FloatArray([round(float(w), 6) for w in shares[index]])
+        weights = Vt.FloatArray(shares[index].tolist())
         for key, kind, value in (
             ("face:binding:marker", kinds.Token, name),
             ("face:binding:face", kinds.Int, int(binding.places.faces[index])),
