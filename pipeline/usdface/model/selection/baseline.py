@@ -265,6 +265,12 @@ def equation_at(
     return replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
 
 
+@cache_last_result
+def proposed_weights(equation: BlendshapeEquation, positions: Positions) -> FloatArray:
+    """Return the weights proposed for positions; steps of a job ask for the same ones."""
+    return equation.propose(positions)
+
+
 def _turn_skin(
     equation: BlendshapeEquation, positions: Positions, visible: BoolArray
 ) -> BlendshapeEquation:

@@ -10,7 +10,11 @@ from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
 from usdface.model.mapping.motion_space import fit_motion_space, marker_coordinates
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
-from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
+from usdface.model.selection.baseline import (
+    BlendshapeEquation,
+    PerformerMarkers,
+    proposed_weights,
+)
 from usdface.model.selection.design import SelectionSpace, WeightProposals, selection_space
 from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
@@ -68,18 +72,18 @@ def set_up_scene(
     deformer = Deformer(rig)
     equation = _equation(takes, rig, deformer, placement)
 
-    def propose(coordinates: FloatArray) -> FloatArray:
+    def positions(coordinates: FloatArray) -> FloatArray:
         packed = motion.mean + coordinates @ motion.components
-        return equation.propose(packed.reshape(len(packed), -1, 3))
+        return packed.reshape(len(packed), -1, 3)
 
-    weights = propose(motion.sample)
+    weights = proposed_weights(equation, positions(motion.sample))
     parts = shape_parts(rig, deformer)
     space = selection_space(motion, weights, parts)
     proposals = WeightProposals(
         features=space.features(motion.sample),
         weights=weights,
-        of_rows=lambda rows: propose(
-            marker_coordinates(motion, takes.positions_at(rows).astype(np.float64))
+        of_rows=lambda rows: equation.propose(
+            positions(marker_coordinates(motion, takes.positions_at(rows).astype(np.float64)))
         ),
         gram=deformer.shapes.gram(),
     )

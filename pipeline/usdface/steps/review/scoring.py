@@ -22,7 +22,11 @@ from usdface.model.review.moments import (
     surface_jumps,
 )
 from usdface.model.review.verdict import SolveEvidence
-from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
+from usdface.model.selection.baseline import (
+    BlendshapeEquation,
+    PerformerMarkers,
+    proposed_weights,
+)
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
 from usdface.specs.review import FramePick
 from usdface.steps.inputs.placement import placed_equation, placement_of_performance
@@ -135,7 +139,8 @@ def solve_baseline(
     positions = shot.positions
     step = -(-len(positions) // _BASELINE_FRAMES)
     if curve:
-        weights = np.repeat(equation.propose(positions[::step]), step, axis=0)[: len(positions)]
+        some = proposed_weights(equation, positions[::step])
+        weights = np.repeat(some, step, axis=0)[: len(positions)]
     else:
         weights = np.full_like(shot.weights, np.nan)
     if step > 1 or not curve:
