@@ -19,9 +19,11 @@ def face():
 def test_deltas_are_interpolated_in_triangles(face):
     rng = np.random.default_rng(0)
     corners, shares = face.triangles[::97], rng.dirichlet(np.ones(3), len(face.triangles[::97]))
-    by_hand = np.einsum("mk,smkc->smc", shares, face.offsets[:, corners])
-    at = deltas_at(sparse.csc_array(face.flat_offsets), corners, shares)
-    np.testing.assert_allclose(at, by_hand, atol=1e-12)
+    by_hand = np.einsum("mk,smkc->scm", shares, face.offsets[:, corners])
+    turn = Rotation.from_euler("xyz", [0.1, 0.0, -0.3]).as_matrix()
+    for axes, wanted in ((None, by_hand), (turn, turn @ by_hand)):
+        at = deltas_at(sparse.csc_array(face.flat_offsets), corners, shares, axes=axes)
+        np.testing.assert_allclose(at.toarray().reshape(wanted.shape), wanted, atol=1e-12)
 
 
 def test_only_skin_seen_from_in_front_is_sampled(face):

@@ -166,8 +166,8 @@ class RegionTemplate:
 
     def part_at(self, positions: FloatArray, moved: FloatArray) -> str:
         """Return the region at the centroid of the largest displacements; empty if far from all."""
-        weight = np.where(moved > MOST_MOVED_SHARE * moved.max(), moved, 0.0)
-        folded = positions - [self._middle_x, 0.0, 0.0]
+        most = np.flatnonzero(moved > MOST_MOVED_SHARE * moved.max())
+        weight, folded = moved[most], positions[most] - [self._middle_x, 0.0, 0.0]
         folded[:, 0] = np.abs(folded[:, 0])
         away = np.linalg.norm(self._places - weight @ folded / weight.sum(), axis=1)
         nearest = int(away.argmin())

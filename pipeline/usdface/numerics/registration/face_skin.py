@@ -246,10 +246,11 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
     normals = triangle_normals(points, corners) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
-    by_axis = np.ascontiguousarray(np.moveaxis(deltas_at(matrix, corners, shares), 2, 1))
-    deltas = np.moveaxis((frame @ by_axis).astype(np.float32), 1, 2)
+    by_axis = deltas_at(matrix, corners, shares, axes=frame).astype(np.float32).toarray()
+    deltas = np.moveaxis(by_axis.reshape(len(by_axis), 3, -1), 1, 2)
     moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
     unit = rms_radius(skin.positions, moved) / TYPICAL_SIZE_MM
+    deltas /= np.float32(unit)
     positions = skin.positions @ frame.T / unit
     return FaceSkin(
         corners,
@@ -259,7 +260,7 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
         positions,
         normals,
         skin.areas / unit**2,
-        deltas / np.float32(unit),
+        deltas,
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
     )
 

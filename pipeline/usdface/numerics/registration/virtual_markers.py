@@ -49,7 +49,9 @@ def marker_deltas(virtual: VirtualMarkers, offsets: sparse.sparray) -> FloatArra
     offsets : (shapes, 3 * points) sparse array
         Of the surface on which the markers were placed.
     """
-    return deltas_at(sparse.csc_array(offsets), virtual.points, virtual.weights)
+    found = deltas_at(sparse.csc_array(offsets), virtual.points, virtual.weights).toarray()
+    by_axis = np.asarray(found, float).reshape(len(found), 3, -1)
+    return np.ascontiguousarray(np.moveaxis(by_axis, 1, 2))
 
 
 def character_motion(
@@ -104,8 +106,14 @@ def certain_errors(errors: PoseErrors) -> PoseErrors:
     return replace(errors, size_mm=errors.size_mm * (errors.noise_scale < LARGEST_NOISE_SCALE))
 
 
-def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: FloatArray) -> FloatArray:
-    """Return the shapes' offsets at points inside triangles, by a sparse product: (shapes, n, 3).
+def deltas_at(
+    matrix: sparse.csc_array,
+    corners: IntArray,
+    weights: FloatArray,
+    *,
+    axes: FloatArray | None = None,
+) -> sparse.csr_array:
+    """Return the shapes' offsets at points inside triangles, axis by axis: (shapes, 3 * n).
 
     Parameters
     ----------
@@ -113,11 +121,14 @@ def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: FloatArray) 
     corners : (n, 3) int array
     weights : (n, 3) float array
         Barycentric.
+    axes : (3, 3) float array, optional
+        Axes of the returned coordinates, in rows; those of the points unless given.
     """
-    samples = len(corners)
-    rows = (3 * corners[:, :, None] + np.arange(3)).ravel()
-    columns = np.repeat(3 * np.arange(samples), 9) + np.tile([0, 1, 2], 3 * samples)
-    pick = sparse.csc_array(
-        (np.repeat(weights.ravel(), 3), (rows, columns)), shape=(matrix.shape[1], 3 * samples)
-    )
-    return np.asarray((matrix @ pick).toarray(), float).reshape(-1, samples, 3)
+    samples, turn = len(corners), np.eye(3) if axes is None else axes
+    rows = 3 * corners[:, :, None, None] + np.arange(3)  # by sample, corner, axis there and here
+    columns = np.arange(samples)[:, None, None, None] + samples * np.arange(3)[:, None]
+    values = weights[:, :, None, None] * turn
+    used = np.broadcast_to(turn != 0, values.shape)
+    rows, columns = (np.broadcast_to(each, values.shape)[used] for each in (rows, columns))
+    pick = sparse.csc_array((values[used], (rows, columns)), (matrix.shape[1], 3 * samples))
+    return sparse.csr_array(matrix @ pick)
