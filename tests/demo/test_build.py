@@ -20,6 +20,7 @@ from usdface.demo.build import (
     VIDEO_RATE,
     DemoInputs,
     Studio,
+    film,
     weights_on_video,
     write_demo_inputs,
 )
@@ -49,7 +50,8 @@ def test_the_camera_sees_a_face_that_moves(actor: DemoHead, acted: ActedPerforma
         acted.weights.names, acted.weights.values[[30, 1020]].astype(float)
     )
     poses = head_poses(acted)[[30, 1020]]
-    rest, angry = (studio.film(pose, row) for pose, row in zip(poses, weights, strict=True))
+    posed = [studio.pose(pose, row) for pose, row in zip(poses, weights, strict=True)]
+    rest, angry = film(studio.meshes, posed)
     assert rest.shape == (CLIP_SIZE[1], CLIP_SIZE[0], 3)
     assert rest.std() > 20.0
     assert np.abs(rest.astype(int) - angry.astype(int)).mean() > 3.0

@@ -1,7 +1,7 @@
 """Generation of the demo's inputs: rig, capture, video and keys."""
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.c3d_write import write_c3d
-from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
-from usdface.core.assets import WeightsClip
+from usdface.core.arrays import ByteImage, Float32Array, FloatArray, IntArray, columns_by_name
+from usdface.core.assets import RigMesh, WeightsClip
 from usdface.core.errors import CancelledError
+from usdface.core.last_result import cache_last_result
 from usdface.core.processes import SubmitWork, process_count, worker_processes
 from usdface.core.progress import Progress, part, silent
 from usdface.demo.acting import FIRST_FRAME, ActedPerformance, performance
@@ -62,26 +63,44 @@ FOCAL_LENGTH = float(
 
 
 class Studio:
-    """The actor in front of a camera; one per drawing process."""
+    """The actor in front of a camera."""
 
     def __init__(self, head: DemoHead) -> None:
         kept, light = _lighter(head)
         self._face = ActorFace(head, kept)
-        self._renderer = FaceRenderer(rig_from_head(light).meshes)
         self._order = np.concatenate(list(mesh_points(light).values()))
+        self.meshes = rig_from_head(light).meshes
+        """Of the actor at rest."""
 
-    def film(
-        self,
-        pose: FloatArray,
-        weights: FloatArray,
-        size: tuple[int, int] = CLIP_SIZE,
-        camera: Camera = CAMERA,
-    ) -> ByteImage:
-        """Draw one picture: (4, 4) pose in the room, weights in `ActorFace`'s order."""
+    def pose(self, pose: FloatArray, weights: FloatArray) -> Float32Array:
+        """Return the meshes' points in the room [mm].
+
+        `pose`: of the head, (4, 4); `weights` are in `ActorFace`'s order.
+        """
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
-        return self._renderer.render(
-            points, camera=camera, width=size[0], height=size[1], quality="draft"
+        return np.asarray(points, np.float32)
+
+
+@cache_last_result
+def _renderer(meshes: tuple[RigMesh, ...]) -> FaceRenderer:
+    return FaceRenderer(meshes)
+
+
+def film(
+    meshes: tuple[RigMesh, ...],
+    poses: Sequence[Float32Array],
+    size: tuple[int, int] = CLIP_SIZE,
+    camera: Camera = CAMERA,
+) -> list[ByteImage]:
+    """Draw a picture of each pose of a studio's meshes; `size`: width and height [pixels]."""
+    renderer, pictures = _renderer(meshes), []
+    for points in poses:
+        if _stopped():
+            raise CancelledError("the main process has stopped")
+        pictures.append(
+            renderer.render(points, camera=camera, width=size[0], height=size[1], quality="draft")
         )
+    return pictures
 
 
 def _lighter(head: DemoHead) -> tuple[IntArray, DemoHead]:
@@ -136,7 +155,9 @@ def write_clip(
     tail = np.zeros(round(TAIL_SECONDS * SAMPLE_RATE), np.float32)
     room = np.random.default_rng(7).standard_normal(len(lead) + len(voice) + len(tail))
     sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
-    pictures = _drawn(Studio(head), (poses, ordered), (size, camera), give_work, progress)
+    studio = Studio(head)
+    posed = [studio.pose(pose, row) for pose, row in zip(poses, ordered, strict=True)]
+    pictures = _drawn(studio.meshes, posed, (size, camera), give_work, progress)
     write_movie(
         path,
         (picture for picture, times in zip(pictures, counts, strict=True) for _ in range(times)),
@@ -146,31 +167,20 @@ def write_clip(
 
 
 def _drawn(
-    studio: Studio,
-    motion: tuple[FloatArray, FloatArray],
+    meshes: tuple[RigMesh, ...],
+    poses: list[Float32Array],
     view: tuple[tuple[int, int], Camera],
     give_work: SubmitWork | None,
     progress: Progress,
 ) -> Iterator[ByteImage]:
     """Draw all pictures from the first on, while other processes draw from the last on."""
-    count = len(motion[0])
-    tasks = [
-        [each[start : start + _TASK_PICTURES] for each in motion]
-        for start in range(0, count, _TASK_PICTURES)
-    ]
-    given = [give_work(_film, *task, *view) for task in tasks[::-1]] if give_work else []
-    number = 0
-    for task in tasks:
+    starts = range(0, len(poses), _TASK_PICTURES)
+    tasks = [poses[start : start + _TASK_PICTURES] for start in starts]
+    given = [give_work(film, meshes, task, *view) for task in tasks[::-1]] if give_work else []
+    for start, task in zip(starts, tasks, strict=True):
         work = given.pop() if given else None
-        if work is None or work.cancel():
-            pictures = (studio.film(pose, row, *view) for pose, row in zip(*task, strict=True))
-        else:
-            pictures = iter(work.result())
-        for picture in pictures:
-            yield picture
-            number += 1
-            if number % 8 == 0 or number == count:
-                progress(number / count, "filming the actor")
+        yield from film(meshes, task, *view) if work is None or work.cancel() else work.result()
+        progress((start + len(task)) / len(poses), "filming the actor")
 
 
 @contextmanager
@@ -180,31 +190,20 @@ def drawing_processes() -> Iterator[SubmitWork | None]:
     if not count:
         yield None
         return
-    with worker_processes(count, _open_studio) as give_work:
-        give_work(int)  # they sculpt the actor meanwhile
+    with worker_processes(count, _stop_if) as give_work:
         yield give_work
 
 
-_studio: Studio | None = None  # of a drawing process
-_stopped: Callable[[], bool]
+def _never() -> bool:
+    return False
 
 
-def _open_studio(stopped: Callable[[], bool]) -> None:
-    global _studio, _stopped
-    _studio, _stopped = Studio(make_head(ACTOR)), stopped
+_stopped: Callable[[], bool] = _never  # of a drawing process
 
 
-def _film(
-    poses: FloatArray, weights: FloatArray, size: tuple[int, int], camera: Camera
-) -> list[ByteImage]:
-    if _studio is None:
-        raise RuntimeError("this process was started without an actor to film")
-    pictures = []
-    for pose, row in zip(poses, weights, strict=True):
-        if _stopped():
-            raise CancelledError("the main process has stopped")
-        pictures.append(_studio.film(pose, row, size, camera))
-    return pictures
+def _stop_if(stopped: Callable[[], bool]) -> None:
+    global _stopped
+    _stopped = stopped
 
 
 @dataclass(frozen=True)
