@@ -45,6 +45,9 @@ _MOST_PROCESSES = 4
 _TASK_PICTURES = 4
 """Pictures per task of a drawing process."""
 
+_BACK_MM = -60.0
+"""Z up to which the camera does not see the head, behind the ears."""
+
 _FIELD_DEGREES = 14.2
 CAMERA = Camera(
     eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=_FIELD_DEGREES
@@ -104,13 +107,14 @@ def film(
 
 
 def _lighter(head: DemoHead) -> tuple[IntArray, DemoHead]:
-    """Remove the skin's last refinement, which is too fine for a small picture.
+    """Remove the skin's last refinement, which is too fine for a small picture, and the back.
 
     Returns the indices of the kept points, and the head made of them.
     """
     skin = np.all(head.parts[head.faces] == HeadPart.SKIN, axis=1)
     # Refinement cuts a quad into four, each of which begins with a corner of the quad.
     coarse = np.concatenate([head.faces[skin][:, 0].reshape(-1, 4), head.faces[~skin]])
+    coarse = coarse[head.points[coarse, 2].max(axis=1) > _BACK_MM]
     kept, faces = np.unique(coarse, return_inverse=True)
     own = np.arange(len(kept))
     light = replace(
