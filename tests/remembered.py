@@ -32,6 +32,8 @@ REMEMBERED = (
     ("usdface.model.selection.baseline", "solve_weights"),
     ("usdface.model.surface.binding", "place_markers"),
     ("usdface.numerics.rigid.pose_error:ExpressionMotion", "find_errors"),
+    ("usdface.steps.capture.ingest", "judge_markers"),
+    ("usdface.steps.inputs.cleaned_takes", "find_head_space"),
     ("usdface.steps.inputs.placement", "place_markers"),
     ("usdface.steps.inputs.placement", "judge_placement"),
     ("usdface.steps.inputs.placement", "bind_at"),
@@ -46,10 +48,10 @@ REMEMBERED = (
 )
 """The demo's heads, where the shot's markers are placed and how far they move there, the picture of
 it, what is drawn of a rig, how much light falls on each of the face's points, the basis of a scan's
-variances, how far a take's markers lie from the references', the errors of its poses, the forward
-models of pairs, and what the blendshape equation solves: most steps ask for them. What is
-remembered goes by the content of all arguments. Tests of one of these call it under its own
-name."""
+variances, how far a take's markers lie from the references', its head space, whether captured
+markers can be a face, the errors of poses, the forward models of pairs, and what the blendshape
+equation solves: most steps ask for them. What is remembered goes by the content of all arguments.
+Tests of one of these call it under its own name."""
 
 
 def remember(
