@@ -6,6 +6,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 # Images of containers set it; workers and commands would each compile the tests and the package.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+import gc
 import pickle
 import shutil
 import signal
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from tests.steps.small_shot import Shot
 
 sys.dont_write_bytecode = False
+# Objects of 5,000 tests stay to the end of a run, and each full collection visits them again.
+gc.set_threshold(20_000, 20, 20)
 
 # A run must say the same twice; USDFACE_FUZZ=random searches anew each time. How long an example
 # takes says more of what else the machine does than of us.
