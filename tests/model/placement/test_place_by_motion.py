@@ -28,8 +28,8 @@ def skin(face):
 
 
 def act(face, **turned):
-    """Two seconds of motion, which are as well placed as four."""
-    return small_actor(face, np.random.default_rng(0), frames=120, **turned)
+    """One second of motion, which is as well placed as four."""
+    return small_actor(face, np.random.default_rng(0), frames=60, **turned)
 
 
 @pytest.fixture(scope="module")
