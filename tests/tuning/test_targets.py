@@ -39,7 +39,7 @@ LABELS = {
     66: "lip_lower_mid",
     57: "mouth_corner_L",
     2: "mouth_corner_R",
-    11: "nose_wing_R",
+    56: "lip_lower_R",
 }
 """Of markers near these features: so many place all others in a tenth of the time of motion."""
 
