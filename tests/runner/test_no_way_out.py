@@ -27,6 +27,7 @@ from usdface.core.sidecars import work_folder
 from usdface.media.film.movie import write_movie
 from usdface.media.film.video import open_video
 from usdface.media.picture.image import write_image
+from usdface.model.placement.plausibility import judge_markers
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.placement import placement_of_performance
 from usdface.steps.references import images
@@ -264,6 +265,8 @@ def test_a_confined_run_opens_nothing_outside(
 ) -> None:
     monkeypatch.chdir(shot.folder)
     monkeypatch.setenv(ROOT_VARIABLE, str(shot.folder))
+    # Elsewhere it is read from a file of the run.
+    monkeypatch.setattr("usdface.steps.capture.ingest.judge_markers", judge_markers)
     lines = [
         "ingest shot.c3d --out n.take.usda",
         "edit shot.hero.usda --shape jawOpen --add 0.2 --frames 9-20",
