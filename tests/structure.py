@@ -6,6 +6,7 @@ Import directions are checked by import-linter, style by ruff.
 """
 
 import ast
+import gc
 import re
 import sys
 from collections import defaultdict
@@ -300,4 +301,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    gc.disable()  # the trees stay to the end, and each collection would visit them all
     sys.exit(main())
