@@ -26,7 +26,10 @@ _MUTUAL_NEIGHBOURS = 3
 _CLOSEST_PAIRS = 40
 """The others may be expressions that only one recording has."""
 
-_MATCHING_ROUNDS = 8
+_MOST_ROUNDS = 8
+
+_SETTLED_MM = 1e-3
+"""Largest change of an offset in the last round of matching."""
 
 _FEWEST_FRAMES = 64
 """A second of a take: fewer frames share expressions only by chance."""
@@ -113,7 +116,8 @@ def find_offset(
     neutrals = others_neutral - neutral
     pose_deviations = np.repeat([np.deg2rad(_POSE_DEGREES), _POSE_MM], 3)
     rigid = pose_deviations[:, None] * rigid_displacements(neutral).reshape(6, -1)
-    for _ in range(_MATCHING_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
+        before = offset
         squared = _squared_distances(ours + offset, known, others, others_usable)
         rows, other_rows = _mutual_pairs(squared)
         near = squared[rows, other_rows]
@@ -134,6 +138,8 @@ def find_offset(
         offset = shown.mean(axis=0)
         offset[moving] = axes @ mean
         offset = offset.reshape(-1, 3)
+        if np.abs(offset - before).max() < _SETTLED_MM:
+            break
     offset[~others_usable.any(axis=0)] = 0.0
     return offset, gain
 
