@@ -352,3 +352,22 @@ def test_errors_that_low_confidence_states_are_counted_once() -> None:
         stated.append(found.uncertainty[:, 0])
     assert np.mean(np.array(errors) <= LIMIT_DEVIATIONS * np.array(stated)) >= 0.9
     assert np.mean(np.square(stated)) < 3.0**2 * np.mean(np.square(errors))
+
+
+def test_a_residual_that_the_forward_model_expects_is_no_surprise() -> None:
+    """Far from the references it is as large as the predictive variance, and chi2 is 1."""
+    face = face_in_parts(noise=0.05)
+    keys = face.weights.copy()
+    keys[:, 4:] *= 0.2  # expressions of the mouth that no reference shows
+    moved = face.neutral + np.einsum("fs,smc->fmc", keys, face.shapes)
+    mapping = trained(replace(face, weights=keys, positions=moved))
+    solver, model = (each.from_arrays(mapping.arrays) for each in (FrameSolver, UncertaintyModel))
+    open_mouth = np.repeat(np.eye(SHAPES)[5:], 400, axis=0)
+    visible = np.ones((len(open_mouth), MARKERS), dtype=bool)
+    solution = solver.solve(np.zeros((*visible.shape, 3)), visible, open_mouth, bounded=False)
+    assert solution.predictive.mean() > 4 * solver.residual_variance.mean()
+    deviation = np.sqrt(solver.residual_variance + solution.predictive)
+    drawn = np.random.default_rng(0).normal(size=(*visible.shape, 3)) * deviation[..., None]
+    solution = replace(solution, residual=drawn.reshape(len(visible), -1))
+    chi2, _ = model._residual_terms(solver, solution, visible)
+    np.testing.assert_allclose(chi2.mean(axis=0), 1.0, atol=0.1)

@@ -13,10 +13,10 @@ tongue, which no marker shows.
 
 The posterior covers visibility, distance from the references, and the error of the rig as a prior,
 but not motion that no weights explain. ``chi2_g`` is the squared residual at the solution relative
-to its expected value, averaged over the markers that the region's shapes move, and ``d_g^2`` the
-mean squared residual in excess of the expected one, which includes `FrameSolution.unknown2`, as
-``W`` does. With ``a`` the motion of the rig over that of the performer, the standard deviation
-is ::
+to its expected value, averaged over the markers that the region's shapes move; expected are the
+residuals of the references, `FrameSolution.unknown2`, as in ``W``, and the predictive variance of
+the forward model (decision 60). ``d_g^2`` is the mean squared residual in excess of the first two.
+With ``a`` the motion of the rig over that of the performer, the standard deviation is ::
 
     sigma_g = c_g sqrt(min(v_g (1 + chi2_g), max(v_g, tr(G_g V))) + (a d_g)^2),  v_g = tr(G_g D C D)
 
@@ -202,7 +202,7 @@ class UncertaintyModel:
         share = weight / np.maximum(visible @ weight.T, 1e-12)[:, :, None]
         chi2, excess2 = (
             np.einsum("frk,fk->fr", share, each * visible, optimize=True)
-            for each in (squared / expected, squared - expected)
+            for each in (squared / (expected + 3 * solution.predictive), squared - expected)
         )
         return chi2, np.maximum(excess2, 0.0)
 

@@ -91,6 +91,8 @@ class FrameSolution:
     """(frames, shapes): prior precision ``1 / sd^2`` after the last reweighting."""
     residual: RealArray
     """(frames, 3 markers): ``y - f(t)``; 0 where a marker is not visible [mm]."""
+    predictive: RealArray
+    """(frames, markers): variance of a coordinate that the forward model predicts [mm^2]."""
     unknown2: RealArray
     """(frames, markers): mean squared error of the markers by their confidence [mm^2]."""
     hessian: RealArray | None
@@ -168,7 +170,7 @@ class FrameSolver:
         t0 = np.clip(prior_mean, 0.0, 1.0).astype(np.float32)
         predicted, slope = self.linearise(t0)
         residual = np.where(seen, y - predicted, 0.0).astype(np.float32)
-        predictive = self._predictive_variance(t0, slope)
+        predictive = np.broadcast_to(self._predictive_variance(t0, slope), visible.shape)
         error = self.error if prior_deviation is None else prior_deviation
         error = np.maximum(np.broadcast_to(error, t0.shape), _MIN_ERROR)
         precision = self._prior_precision(residual, visible, predictive, error)
@@ -181,16 +183,15 @@ class FrameSolver:
         if confidence is not None and (confidence[visible] < MEASURED_CONFIDENCE).any():
             rows = np.flatnonzero((visible & (confidence < MEASURED_CONFIDENCE)).any(axis=1))
             unknown2[rows] = (1 - confidence[rows]) * self.forward.motion2
-            predictive = np.broadcast_to(predictive, visible.shape)[rows]
-            visibility = visible[rows] * self._visibility(predictive, confidence[rows])
+            visibility = visible[rows] * self._visibility(predictive[rows], confidence[rows])
             at_t0 = residual[rows] * np.repeat(visibility > 0, 3, axis=1)
-            prior = self._prior_precision(at_t0, visibility, predictive, error[rows])
+            prior = self._prior_precision(at_t0, visibility, predictive[rows], error[rows])
             precision[rows] = prior / _huber_divisor(step[rows], prior)
             if hessian is not None and slope is not None:
-                known = self._likelihood(slope[rows], visibility, predictive)
+                known = self._likelihood(slope[rows], visibility, predictive[rows])
                 hessian[rows] = known.hessian(precision[rows])
         residual = np.where(seen, residual - likelihood.displacements(step), 0)
-        return FrameSolution(targets, precision, residual, unknown2, hessian)
+        return FrameSolution(targets, precision, residual, predictive, unknown2, hessian)
 
     def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
         """Return the forward model's prediction and its Jacobian.
