@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import mode
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
-from usdface.capture.face_landmarker import FaceDetection
+from usdface.capture.face_landmarker import FaceDetection, FaceLandmarker
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.arrays import BoolArray, ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
@@ -38,17 +38,6 @@ _CUT_LOG_SIZE = float(np.log(1.2))
 """Change of log size between two pictures that is a cut; at most 4 % in the same pictures."""
 
 
-class FaceDetector(Protocol):
-    """A face detector, such as `FaceLandmarker`."""
-
-    @property
-    def score_names(self) -> tuple[str, ...]:
-        """Names of the scores of each face."""
-
-    def find_faces(self, picture: ByteImage) -> list[FaceDetection]:
-        """Return the faces in a picture."""
-
-
 @dataclass(frozen=True)
 class PictureFaces:
     """The faces in a picture, with the landmarks of `LANDMARKS` in single precision."""
@@ -58,7 +47,7 @@ class PictureFaces:
     """Detected in the mirror image, mirrored back."""
 
 
-def detect_faces(detector: FaceDetector, picture: ByteImage, *, mirrored: bool) -> PictureFaces:
+def detect_faces(detector: FaceLandmarker, picture: ByteImage, *, mirrored: bool) -> PictureFaces:
     """Return the faces in a picture, and if `mirrored` those in its mirror image."""
     direct = [_markers(face) for face in detector.find_faces(picture)]
     if not (mirrored and direct):
@@ -196,8 +185,8 @@ class FaceTracker:
         assert face is not None
         self._last = face.landmarks
 
-    def add(self, found: PictureFaces, *, where: str) -> bool:
-        """Add the face of the next picture; return whether there is one.
+    def add(self, found: PictureFaces, *, where: str) -> None:
+        """Add the face of the next picture, if there is one.
 
         `InputError` if no face was chosen and there are several, at the start or for half a second.
         """
@@ -214,7 +203,7 @@ class FaceTracker:
         if face is None:
             nothing, unknown = np.full((marker_count, 3), np.nan), np.array([np.nan])
             self._rows.append((nothing, nothing[:, 0], unknown, None))
-            return False
+            return
         self._last = face.landmarks
         positions = face.landmarks
         difference = np.zeros(marker_count)
@@ -231,12 +220,11 @@ class FaceTracker:
             else:
                 difference[:] = np.nan
         self._rows.append((positions, difference, face.scores, mirrored_scores))
-        return True
 
     def track(self, score_names: tuple[str, ...], size: tuple[int, int]) -> FaceTrack:
         """Return the pictures so far, of a width and height.
 
-        `score_names`: of the `FaceDetector`; scores of mirror images have left and right exchanged.
+        `score_names`: of `FaceLandmarker`; scores of mirror images have left and right exchanged.
         """
         other = mirrored_shapes(score_names)
         scores = [

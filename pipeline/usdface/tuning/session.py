@@ -68,6 +68,8 @@ class TuningSession:
     ----------
     references : References
         As at the start of the session.
+    revision : int
+        Increases with every change.
     recovered : int
         Number of changes that an earlier session had not saved as USD.
     """
@@ -84,7 +86,7 @@ class TuningSession:
         self._column = index_of(self.references.shape_names)
         self._selected = [_signature(path), _signature(proposed_path(path))]
         self._guard = threading.Lock()
-        self._revision = first_revision
+        self.revision = first_revision
         self.lock = TuningLock(lock_path(path))
         self.lock.acquire(take_over=take_over)
         try:
@@ -101,17 +103,12 @@ class TuningSession:
         """Return the current state."""
         with self._guard:
             return _State(
-                self._revision,
+                self.revision,
                 self._weights.copy(),
                 self._proposals,
                 self._tuned(),
                 self._done.copy(),
             )
-
-    @property
-    def revision(self) -> int:
-        """Increases with every change."""
-        return self._revision
 
     @property
     def is_saved(self) -> bool:
@@ -127,7 +124,7 @@ class TuningSession:
         with self._guard:
             self.lock.check()
             self._reread_if_changed()
-            if revision != self._revision:
+            if revision != self.revision:
                 raise StaleRevisionError(
                     f"{self.path.name}: changed elsewhere since revision {revision}; read it again"
                 )
@@ -137,8 +134,8 @@ class TuningSession:
             self._unsaved.extend(changes)
             for change in changes:
                 self._put(change)
-            self._revision += 1
-            return self._revision
+            self.revision += 1
+            return self.revision
 
     def save(self) -> None:
         """Write the tuned layer and clear the journal if there are changes.
@@ -212,7 +209,7 @@ class TuningSession:
             return
         check_tuned_layer(self.tuned_path, self.references)
         self._read_layer()
-        self._revision += 1
+        self.revision += 1
 
     def _put(self, change: Change) -> None:
         for name, value in change.weights.items():

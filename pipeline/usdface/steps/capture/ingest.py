@@ -89,27 +89,26 @@ def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
 
 
 def _read_source(source: Path, spec: IngestSpec) -> Capture:
-    capture = _read_usd(source, spec) if is_usd_name(source) else _read_file(source, spec)
+    if is_usd_name(source):
+        capture = _read_usd(source, spec)
+    else:
+        capture = read_capture(
+            source,
+            format=spec.format,
+            units=spec.units,
+            scale=spec.scale,
+            up=spec.up,
+            rate=spec.rate,
+            rigid=spec.rigid,
+            neutral=spec.neutral,
+            weight_unit=spec.weight_unit,
+            shapes=spec.shapes,
+            take=spec.take,
+        )
     timed = capture.take.markers is None and capture.format != "weights"
     if spec.rate is not None and len(spec.sources) == 1 and timed:
         return with_stated_rate(capture, spec.rate, where=source)
     return capture
-
-
-def _read_file(source: Path, spec: IngestSpec) -> Capture:
-    return read_capture(
-        source,
-        format=spec.format,
-        units=spec.units,
-        scale=spec.scale,
-        up=spec.up,
-        rate=spec.rate,
-        rigid=spec.rigid,
-        neutral=spec.neutral,
-        weight_unit=spec.weight_unit,
-        shapes=spec.shapes,
-        take=spec.take,
-    )
 
 
 def _unused_notes(spec: IngestSpec, take: Take, captures: list[Capture]) -> list[str]:

@@ -1,10 +1,11 @@
 """An evaluation as lines of text, plain data and a picture's contents."""
 
 import math
+from itertools import islice
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, spaced_rows
 from usdface.core.text import pluralize
 from usdface.media.charts.evaluation import EvaluationPage, ShapeBar
 from usdface.media.picture.error_strip import ErrorCurve
@@ -171,13 +172,8 @@ def worst_frames(evaluation: Evaluation) -> tuple[int, ...]:
     """Return the frames of the largest skin error, at a distance from each other."""
     error = evaluation.skin.frames_mm
     apart = max(len(error) // (3 * WORST_FRAMES), 1)
-    chosen: list[int] = []
-    for row in np.argsort(-error, kind="stable").tolist():
-        if all(abs(row - other) >= apart for other in chosen):
-            chosen.append(row)
-        if len(chosen) == WORST_FRAMES:
-            break
-    return tuple(int(evaluation.frames[row]) for row in chosen)
+    rows = islice(spaced_rows(np.argsort(-error, kind="stable"), apart), WORST_FRAMES)
+    return tuple(int(evaluation.frames[row]) for row in rows)
 
 
 def _by_surface(evaluation: Evaluation) -> list[int]:

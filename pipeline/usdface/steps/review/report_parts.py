@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.sidecars import notes_path
 from usdface.core.text import first_few
@@ -104,19 +104,14 @@ def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None
     motion = np.where(known[:, shown, None], motion, np.nan)
     names = tuple(markers.names[i] for i in shown.tolist())
     rest = equation.virtual.places(shot.deformer.neutral)[shown]
+    lines = lines_on_rig(markers.names, equation, shot.deformer, shot.rig.shapes)
     return PageMarkers(
         names,
         rest,
         motion,
         np.asarray(equation.keys.deltas)[:, shown],
-        _among(shown, lines_on_rig(markers.names, equation, shot.deformer, shot.rig.shapes)),
+        np.searchsorted(shown, lines[np.isin(lines, shown).all(axis=1)]),
     )
-
-
-def _among(shown: IntArray, lines: IntArray) -> IntArray:
-    """Return the lines between some of the markers, by their indices among these."""
-    inside = np.isin(lines, shown).all(axis=1)
-    return np.searchsorted(shown, lines[inside])
 
 
 def page_motion(shot: Shot) -> FloatArray | None:

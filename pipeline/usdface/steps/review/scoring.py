@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, spaced_rows
 from usdface.core.assets import Rig, WeightsClip
 from usdface.core.errors import InputError
 from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
@@ -300,10 +301,6 @@ def _strongest(strength: FloatArray, rows: IntArray, count: int, apart: int) -> 
 
 def _largest(values: FloatArray, count: int, apart: int) -> list[int]:
     """Return `count` rows by decreasing value, at least `apart` rows apart as far as possible."""
-    chosen, blocked = list[int](), np.zeros(len(values), bool)
     order = np.argsort(-values, kind="stable")
-    for row in order.tolist():
-        if len(chosen) < count and not blocked[row]:
-            chosen.append(row)
-            blocked[max(row - apart + 1, 0) : row + apart] = True
+    chosen = list(islice(spaced_rows(order, apart), count))
     return [*chosen, *order[~np.isin(order, chosen)].tolist()][:count]
