@@ -26,8 +26,6 @@ from usdface.numerics.rigid.rigid_alignment import pose_matrices
 MARKER_RADIUS = 1.5
 """Distance of a marker's centre from the skin [mm]."""
 
-MARKER_COUNT = 102
-
 
 @dataclass(frozen=True)
 class MarkerSet:
@@ -41,7 +39,7 @@ class MarkerSet:
 
 
 def demo_markers(head: DemoHead) -> MarkerSet:
-    """Return `MARKER_COUNT` markers, 10 of them rigid, symmetric in left and right."""
+    """Return 102 markers, 10 of them rigid, symmetric in left and right."""
     skin = _Picker(head)
     eye, nose, mouth, skull = (getattr(head.style, k) for k in ("eye", "nose", "mouth", "skull"))
     ex, ey = eye.center[:2]

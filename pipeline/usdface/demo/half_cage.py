@@ -105,23 +105,14 @@ def grid_faces(rows: int, columns: int, *, closed: bool = False, flip: bool = Fa
     return quads[:, ::-1] if flip else quads
 
 
-@dataclass(frozen=True)
-class Refinement:
-    """A subdivided mesh."""
-
-    matrix: sparse.csr_array
-    """(fine points, points): applies to positions and attributes; rows sum to 1."""
-    faces: IntArray
-    """(fine faces, 4)"""
-    mirror: IntArray
-    """(fine points,): index of each fine point's mirror image."""
-
-
 REFINEMENT_LEVELS = 2
 
 
-def refine(faces: IntArray, mirror: IntArray) -> Refinement:
+def refine(faces: IntArray, mirror: IntArray) -> tuple[sparse.csr_array, IntArray, IntArray]:
     """Subdivide a cage by Catmull and Clark's rules, with borders as creases.
+
+    Returns the matrix, (fine points, points), for positions and attributes, whose rows sum to 1;
+    the fine faces, (fine faces, 4); and the index of each fine point's mirror image.
 
     `faces`: (faces, 4). `mirror`: (points,); the topology must be symmetric under it.
     """
@@ -139,4 +130,4 @@ def refine(faces: IntArray, mirror: IntArray) -> Refinement:
     by_label, by_image = np.argsort(labels), np.argsort(images)
     partner = np.empty(len(by_label), np.int64)
     partner[by_image] = by_label
-    return Refinement(matrix, faces, partner)
+    return matrix, faces, partner

@@ -135,25 +135,25 @@ def bare_head(style: Style) -> DemoHead:
 def _skin(style: Style, form: Form) -> DemoHead:
     """Return the skin: the subdivided cage, projected to the sculpted form and coloured."""
     cage, cage_marks = build_cage(style, form)
-    fine = refine(cage.faces, cage.mirror)
-    points, marks = fine.matrix @ cage.points, fine.matrix @ cage_marks
+    matrix, faces, mirror = refine(cage.faces, cage.mirror)
+    points, marks = matrix @ cage.points, matrix @ cage_marks
     amount = np.clip(1.3 * marks[:, Mark.SETTLE] - 0.15, 0.0, 1.0)
-    smooth = _neighbour_mean(fine.faces, len(points))
+    smooth = _neighbour_mean(faces, len(points))
     points = settle(form, points, amount)
     for _ in range(6):  # spreads points that accumulate at sharp folds
         points += 0.6 * amount[:, None] * (smooth @ points - points)
     points = settle(form, points, 0.8 * amount)
     points = _close_lips(style, points, marks)
     points = _clear_eyeball(style, points, marks)
-    points = 0.5 * (points + points[fine.mirror] * (-1.0, 1.0, 1.0))
+    points = 0.5 * (points + points[mirror] * (-1.0, 1.0, 1.0))
     return DemoHead(
         style=style,
         points=points,
-        faces=fine.faces,
+        faces=faces,
         parts=np.full(len(points), int(HeadPart.SKIN)),
         marks=marks,
         colors=skin_colors(style, points, marks),
-        mirror=fine.mirror,
+        mirror=mirror,
         anchors=np.arange(len(points)),
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from usdface.usdio.rig.materials import read_look
+from usdface.usdio.rig.materials import read_face_colors
 
 FACES = 6
 
@@ -62,14 +62,14 @@ def feed(stage: Usd.Stage, made: UsdShade.Material, kind: str) -> UsdShade.Shade
 
 def test_subsets_are_stronger_than_the_mesh_and_the_mesh_than_what_is_above(stage) -> None:
     bind(stage.GetPrimAtPath("/Head"), material(stage, "above", (0.9, 0.9, 0.9)))
-    assert np.allclose(read_look(face_of(stage), FACES).face_colors, [0.9, 0.9, 0.9, 1])
+    assert np.allclose(read_face_colors(face_of(stage), FACES)[0], [0.9, 0.9, 0.9, 1])
     bind(face_of(stage), material(stage, "skin", (0.5, 0.3, 0.2)))
     subset(stage, "lips", [1, 4], material(stage, "red", (0.7, 0.1, 0.1), opacity=0.25))
-    look = read_look(face_of(stage), FACES)
+    colors, undrawn = read_face_colors(face_of(stage), FACES)
     expected = np.tile([0.5, 0.3, 0.2, 1.0], (FACES, 1))
     expected[[1, 4]] = 0.7, 0.1, 0.1, 0.25
-    np.testing.assert_allclose(look.face_colors, expected, atol=1e-7)
-    assert look.undrawn == ()
+    np.testing.assert_allclose(colors, expected, atol=1e-7)
+    assert undrawn == ()
 
 
 def test_a_colour_given_through_the_materials_interface_is_a_constant(stage) -> None:
@@ -81,7 +81,7 @@ def test_a_colour_given_through_the_materials_interface_is_a_constant(stage) -> 
     slot.ConnectToSource(public)
     bind(face_of(stage), made)
     np.testing.assert_allclose(
-        read_look(face_of(stage), FACES).face_colors[0], [0.4, 0.2, 0.1, 1], atol=1e-7
+        read_face_colors(face_of(stage), FACES)[0][0], [0.4, 0.2, 0.1, 1], atol=1e-7
     )
 
 
@@ -91,10 +91,10 @@ def test_a_texture_is_told_and_the_rest_is_shown(stage) -> None:
     node.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath("skin.<UDIM>.exr"))
     bind(face_of(stage), made)
     subset(stage, "lips", [0], material(stage, "red", (0.7, 0.1, 0.1)))
-    look = read_look(face_of(stage), FACES)
-    assert look.undrawn == ("</Head/looks/skin>: its colour is a texture, skin.<UDIM>.exr",)
-    assert np.isnan(look.face_colors[1:]).all()
-    assert not np.isnan(look.face_colors[0]).any()
+    colors, undrawn = read_face_colors(face_of(stage), FACES)
+    assert undrawn == ("</Head/looks/skin>: its colour is a texture, skin.<UDIM>.exr",)
+    assert np.isnan(colors[1:]).all()
+    assert not np.isnan(colors[0]).any()
 
 
 def test_a_reader_of_the_display_colour_leaves_it_to_the_display_colour(stage) -> None:
@@ -102,10 +102,12 @@ def test_a_reader_of_the_display_colour_leaves_it_to_the_display_colour(stage) -
     node = feed(stage, made, "UsdPrimvarReader_float3")
     node.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
     bind(face_of(stage), made)
-    assert read_look(face_of(stage), FACES) == read_look(stage.GetPrimAtPath("/Head/face"), FACES)
-    assert read_look(face_of(stage), FACES).undrawn == ()
+    assert read_face_colors(face_of(stage), FACES) == read_face_colors(
+        stage.GetPrimAtPath("/Head/face"), FACES
+    )
+    assert read_face_colors(face_of(stage), FACES)[1] == ()
     node.GetInput("varname").Set("groom")
-    assert "primvar groom" in read_look(face_of(stage), FACES).undrawn[0]
+    assert "primvar groom" in read_face_colors(face_of(stage), FACES)[1][0]
 
 
 def test_a_display_colour_of_each_face_holds_where_no_material_does(stage) -> None:
@@ -113,7 +115,7 @@ def test_a_display_colour_of_each_face_holds_where_no_material_does(stage) -> No
     values = np.random.default_rng(0).random((FACES, 3)).astype(np.float32)
     primvar.Set(Vt.Vec3fArray.FromNumpy(values))
     subset(stage, "lips", [2], material(stage, "red", (0.7, 0.1, 0.1)))
-    look = read_look(face_of(stage), FACES).face_colors
+    look = read_face_colors(face_of(stage), FACES)[0]
     values[2] = 0.7, 0.1, 0.1
     np.testing.assert_allclose(look[:, :3], values, atol=1e-7)
 
@@ -138,10 +140,10 @@ def test_what_is_not_drawn_is_told(stage, fault: str, told: str) -> None:
     prim = subset(stage, "lips", [1, FACES, -1] if fault == "indices" else [1], made)
     if fault == "points":
         UsdGeom.Subset(prim).GetElementTypeAttr().Set("point")
-    assert told in read_look(face_of(stage), FACES).undrawn[0]
+    assert told in read_face_colors(face_of(stage), FACES)[1][0]
 
 
 def test_a_mesh_without_materials_has_no_look(stage) -> None:
-    assert read_look(face_of(stage), FACES).face_colors is None
+    assert read_face_colors(face_of(stage), FACES)[0] is None
     bind(face_of(stage), material(stage, "unsaid"))  # the shader's own grey is nobody's choice
-    assert read_look(face_of(stage), FACES).face_colors is None
+    assert read_face_colors(face_of(stage), FACES)[0] is None

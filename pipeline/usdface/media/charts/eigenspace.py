@@ -3,7 +3,7 @@
 Figure 3 of Deng et al. (2006) shows the first three axes in perspective; here each pair has a plot.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -30,28 +30,25 @@ _MOST_COMPONENTS = 20
 """Components in the variance plot; further ones are small in most takes."""
 
 
-@dataclass(frozen=True)
-class Eigenspace:
-    """Takes and references in the space of principal components."""
+def draw_eigenspace(
+    title: str,
+    facts: Sequence[str],
+    *,
+    takes: FloatArray,
+    references: FloatArray,
+    shares: FloatArray,
+) -> ByteImage:
+    """Draw the first three components in pairs, and the cumulative variance.
 
-    title: str
-    facts: tuple[str, ...]
-    takes: FloatArray
-    """(frames, dimensions): a sample of the takes' frames [mm]."""
-    references: FloatArray
-    """(pairs, dimensions) [mm]"""
-    shares: FloatArray
-    """(dimensions,): shares of the markers' variance [0-1]."""
-
-
-def draw_eigenspace(space: Eigenspace) -> ByteImage:
-    """Draw the first three components in pairs, and the cumulative variance."""
+    `takes`: (frames, dimensions), a sample of the takes' frames [mm]. `references`: (pairs,
+    dimensions) [mm]. `shares`: (dimensions,), of the markers' variance [0-1].
+    """
     top = _PAGE_MARGIN + HEADER_HEIGHT + 30
     figure = new_figure(_PAGE_WIDTH, top + 2 * _ROW_HEIGHT + _PAGE_MARGIN)
     second = _PAGE_WIDTH // 2
     places = [(0, top), (second, top), (0, top + _ROW_HEIGHT)]
     for (left, y), (one, other) in zip(places, ((0, 1), (0, 2), (1, 2)), strict=True):
-        if other >= len(space.shares):
+        if other >= len(shares):
             continue
         axes = add_axes(
             figure,
@@ -60,22 +57,22 @@ def draw_eigenspace(space: Eigenspace) -> ByteImage:
             across=f"component {one + 1}, mm",
             up="mm",
         )
-        both = np.concatenate([space.takes, space.references])
+        both = np.concatenate([takes, references])
         axes.set_xlim(*_limits(both[:, one]))
         axes.set_ylim(*_limits(both[:, other]))
         axes.plot(
-            space.takes[:, one],
-            space.takes[:, other],
+            takes[:, one],
+            takes[:, other],
             ".",
             color=display_color(BLUE),
             markersize=3,
             alpha=0.6,
         )
-        plot_points(axes, space.references[:, one], space.references[:, other], ORANGE)
+        plot_points(axes, references[:, one], references[:, other], ORANGE)
         add_label(axes, "frames of the takes", (0, 1), shift=(10, -20), color=BLUE)
         add_label(axes, "references", (0, 1), shift=(10, -40), color=ORANGE)
-    shown = min(len(space.shares), _MOST_COMPONENTS)
-    percent = 100 * np.cumsum(space.shares)[:shown]
+    shown = min(len(shares), _MOST_COMPONENTS)
+    percent = 100 * np.cumsum(shares)[:shown]
     axes = add_axes(
         figure,
         (second + 2 * _PAGE_MARGIN, top + _ROW_HEIGHT, _PLOT_WIDTH, _PLOT_HEIGHT),
@@ -89,7 +86,7 @@ def draw_eigenspace(space: Eigenspace) -> ByteImage:
     plot_curve(axes, np.arange(1.0, shown + 1), percent, BLUE)
     plot_points(axes, np.arange(1.0, shown + 1), percent, BLUE)
     picture = render(figure)
-    draw_header(picture, space.title, space.facts, margin=_PAGE_MARGIN)
+    draw_header(picture, title, facts, margin=_PAGE_MARGIN)
     return picture
 
 

@@ -14,7 +14,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination
 from usdface.core.sidecars import proposed_path
 from usdface.core.text import counted, first_few, pluralize
-from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
+from usdface.media.charts.eigenspace import draw_eigenspace
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.head_space import pose_error_note
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
@@ -387,11 +387,9 @@ def eigenspace_picture(mapping: TrainedMapping, references: References, title: s
     motion = motion_of(mapping)
     markers = references.markers.astype(np.float64)
     return draw_eigenspace(
-        Eigenspace(
-            title=title,
-            facts=(variance_line(mapping),),
-            takes=motion.sample,
-            references=marker_coordinates(motion, markers),
-            shares=variance_shares(mapping),
-        )
+        title,
+        (variance_line(mapping),),
+        takes=motion.sample,
+        references=marker_coordinates(motion, markers),
+        shares=variance_shares(mapping),
     )

@@ -4,7 +4,6 @@ Pictures show constant diffuse colours and opacities of UsdPreviewSurface. Textu
 shaders are not drawn, and are listed.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,18 +16,11 @@ TEXTURE = "UsdUVTexture"
 PRIMVAR = "UsdPrimvarReader_float3"
 
 
-@dataclass(frozen=True)
-class Look:
-    """The colours of a mesh's faces."""
-
-    face_colors: FloatArray | None
-    """(faces, 4): linear red, green, blue and opacity; NaN if unknown."""
-    undrawn: tuple[str, ...]
-    """Parts of materials that pictures leave out."""
-
-
-def read_look(prim: Usd.Prim, face_count: int) -> Look:
+def read_face_colors(prim: Usd.Prim, face_count: int) -> tuple[FloatArray | None, tuple[str, ...]]:
     """Return the colours of a mesh's faces by its materials, else by ``displayColor``.
+
+    (faces, 4): linear red, green, blue and opacity, NaN if unknown; None if all are. And the parts
+    of materials that pictures leave out.
 
     Bindings of subsets (family ``materialBind``) are stronger than the mesh's, and materials are
     stronger than display colours, as in a renderer. Display colours per point are not read.
@@ -61,7 +53,7 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
             )
         apply_material(subset.GetPrim(), inside)
     known = not np.isnan(colors).all()
-    return Look(colors if known else None, tuple(dict.fromkeys(undrawn)))
+    return (colors if known else None), tuple(dict.fromkeys(undrawn))
 
 
 def _display_colors(prim: Usd.Prim, face_count: int) -> FloatArray:

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode, order_combinations
 from usdface.usdio.authoring import names_in, prim_or_root, prims_below, text_of, top_path, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
-from usdface.usdio.rig.materials import read_look
+from usdface.usdio.rig.materials import read_face_colors
 from usdface.usdio.rig.mesh import PlacedMesh, RestPose, authored_normals, read_geometry
 from usdface.usdio.units import stage_to_ours
 
@@ -213,7 +213,7 @@ def _has_shapes(prim: Usd.Prim) -> bool:
 def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
     mesh, where = UsdGeom.Mesh(prim), f"{path} <{prim.GetPath()}>"
     bare, _, placed = read_geometry(prim, rest, where)
-    look = read_look(prim, len(bare.face_counts))
+    face_colors, undrawn = read_face_colors(prim, len(bare.face_counts))
     visible = mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
     drawn = mesh.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
     binding = UsdSkel.BindingAPI(prim)
@@ -238,8 +238,8 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
         shapes=tuple(shapes),
         normals=_read_normals(mesh, placed, len(bare.face_indices)),
         visible=visible and drawn,
-        face_colors=look.face_colors,
-        undrawn=look.undrawn,
+        face_colors=face_colors,
+        undrawn=undrawn,
     )
 
 

@@ -6,7 +6,7 @@ is corrected by moving its sphere, by another face, other weights on the face or
 point, or by deactivating its prim, which leaves the marker out.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -124,34 +124,27 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
             "millimetres, or faces differ; bind again, under another name if its corrections are "
             "to be kept"
         )
-    names, places, left_out, authors = [], [], [], {}
+    names, read, left_out, authors = [], [], [], {}
     for name, prim in _named_markers(stage):
         if not prim.IsActive():
             left_out.append(name)
             continue
         names.append(name)
-        places.append(_read_place(path, prim, face))
+        read.append(_read_place(path, prim, face))
         author = str(_value(prim, _AUTHOR) or "")
-        if author and places[-1].source == "corrected":
+        if author and read[-1][-1] == "corrected":
             authors[name] = author
-    if not places:
+    if not read:
         raise InputError(f"{path} <{_MARKERS}>: binds no marker; bind again")
+    places, confidence, distance_mm, sources = zip(*read, strict=True)
     binding = MarkerBinding(
         names=tuple(names),
-        places=_concatenate_places([each.places for each in places]),
-        confidence=np.array([each.confidence for each in places]),
-        distance_mm=np.array([each.distance_mm for each in places]),
-        sources=tuple(each.source for each in places),
+        places=_concatenate_places(places),
+        confidence=np.array(confidence),
+        distance_mm=np.array(distance_mm),
+        sources=sources,
     )
     return ReadBinding(binding, tuple(left_out), authors)
-
-
-@dataclass(frozen=True)
-class _MarkerPlace:
-    places: SurfacePoints
-    confidence: float
-    distance_mm: float
-    source: str
 
 
 def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurface) -> None:
@@ -203,7 +196,10 @@ def _show_mesh(layer: Sdf.Layer, face: BoundSurface, stage: Usd.Stage, path: Pat
     define_reference_prim(layer, MESH.AppendChild("Asset"), asset, top_path(face.path))
 
 
-def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
+def _read_place(
+    path: Path, prim: Usd.Prim, face: BoundSurface
+) -> tuple[SurfacePoints, float, float, str]:
+    """Return a marker's place, its confidence, its distance [mm] and its source."""
     mesh = face.mesh
     counts, indices = mesh.face_counts, mesh.face_indices
     point = _value(prim, "face:binding:point")
@@ -233,11 +229,11 @@ def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
             "correct its ball, point, or face and weights, or deactivate it"
         ) from error
     if is_corrected:
-        return _MarkerPlace(places, 1.0, 0.0, "corrected")
+        return places, 1.0, 0.0, "corrected"
     confidence, distance = (
         float(str(_value(prim, f"face:binding:{key}") or 0)) for key in ("confidence", "distance")
     )
-    return _MarkerPlace(places, confidence, distance, source)
+    return places, confidence, distance, source
 
 
 def _under_ball(prim: Usd.Prim, face: BoundSurface) -> SurfacePoints:
@@ -273,7 +269,7 @@ def _value(prim: Usd.Prim, name: str) -> object:
     return next((spec.default for spec in specs if spec.default is not None), None)
 
 
-def _concatenate_places(parts: list[SurfacePoints]) -> SurfacePoints:
+def _concatenate_places(parts: Sequence[SurfacePoints]) -> SurfacePoints:
     return SurfacePoints(
         np.concatenate([each.faces for each in parts]),
         np.concatenate([each.corners for each in parts]),
