@@ -134,8 +134,8 @@ def _words(name: str) -> list[str]:
 def _phrases() -> dict[Phrase, tuple[str, float]]:
     """Return motion and rank by phrase: a set of words, or a tuple of words in order."""
     motions: dict[Phrase, tuple[str, float]] = {}
-    for vocabulary in VOCABULARIES:
-        for line in vocabulary.phrases.strip().splitlines():
+    for rank, lines in VOCABULARIES:
+        for line in lines.strip().splitlines():
             motion, _, phrases = line.strip().partition(": ")
             for phrase in phrases.split(" | "):
                 words = phrase.split()
@@ -146,7 +146,7 @@ def _phrases() -> dict[Phrase, tuple[str, float]]:
                     as_set = frozenset(WORDS.get(each, each) for each in given)
                     in_order = phrase.startswith("=") or len(as_set) < len(given)
                     key: Phrase = tuple(given) if in_order else as_set
-                    motions.setdefault(key, (motion, float(vocabulary.rank)))
+                    motions.setdefault(key, (motion, float(rank)))
     return motions
 
 

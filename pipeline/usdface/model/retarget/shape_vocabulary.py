@@ -6,21 +6,6 @@ capitals; ``motion/upper`` is one row of the lips, and ``+`` joins motions of on
 contain no sides, except for motions to a side (`jaw left`).
 """
 
-from dataclasses import dataclass
-
-
-@dataclass(frozen=True)
-class Vocabulary:
-    """Phrases of one source."""
-
-    name: str
-    source: str
-    """Publication of the names."""
-    phrases: str
-    rank: int = 1
-    """Of two shapes with the same meaning, the one of lower rank is used."""
-
-
 ARKIT = """
 eyeBlinkLeft eyeLookDownLeft eyeLookInLeft eyeLookOutLeft eyeLookUpLeft eyeSquintLeft eyeWideLeft
 eyeBlinkRight eyeLookDownRight eyeLookInRight eyeLookOutRight eyeLookUpRight eyeSquintRight
@@ -35,9 +20,9 @@ browOuterUpRight cheekPuff cheekSquintLeft cheekSquintRight noseSneerLeft noseSn
 use these names, with other side words and capitals."""
 
 VOCABULARIES = (
-    Vocabulary(
-        "ARKit",
-        "https://developer.apple.com/documentation/arkit/arfaceanchor/blendshapelocation",
+    # ARKit: https://developer.apple.com/documentation/arkit/arfaceanchor/blendshapelocation
+    (
+        0,
         """
         eyeblink: eye blink
         eyesquint: eye squint
@@ -68,13 +53,12 @@ VOCABULARIES = (
         nosesneer: nose sneer
         tongueout: tongue out
         """,
-        rank=0,
     ),
-    Vocabulary(
-        "FACS",
-        "Ekman, Friesen and Hager, Facial Action Coding System: The Manual, 2002; as Meta's face "
-        "tracking writes it: https://registry.khronos.org/OpenXR/specs/1.1/man/html/"
-        "XrFaceExpressionFB.html",
+    # FACS: Ekman, Friesen and Hager, Facial Action Coding System: The Manual, 2002; as Meta's face
+    # tracking writes it:
+    # https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrFaceExpressionFB.html
+    (
+        1,
         """
         browdown: brow lower
         eyewide: [eye] upper lid raise
@@ -99,10 +83,10 @@ VOCABULARIES = (
         tongueout: tongue show
         """,
     ),
-    Vocabulary(
-        "Character Creator 4",
-        "https://manual.reallusion.com/Character-Creator-4/Content/ENU/4.0/16-Facial-Expression/"
-        "Extended-Facial-Blendshapes.htm",
+    # Character Creator 4:
+    # https://manual.reallusion.com/Character-Creator-4/Content/ENU/4.0/16-Facial-Expression/Extended-Facial-Blendshapes.htm
+    (
+        1,
         """
         browdown: brow drop
         mouthroll: mouth roll in
@@ -112,10 +96,10 @@ VOCABULARIES = (
         mouthpucker/lower: mouth pucker down
         """,
     ),
-    Vocabulary(
-        "MetaHuman",
-        "raw controls `CTRL_expressions_*` of Epic's MetaHuman rig, and its pose asset "
-        "PA_MetaHuman_ARKit_Mapping, as listed in https://github.com/Dylanyz/ARKitRemap",
+    # MetaHuman: raw controls `CTRL_expressions_*` of Epic's MetaHuman rig, and its pose asset
+    # PA_MetaHuman_ARKit_Mapping, as listed in https://github.com/Dylanyz/ARKitRemap
+    (
+        1,
         """
         eyesquint: eye squint inner
         cheeksquint: eye cheek raise
@@ -127,10 +111,10 @@ VOCABULARIES = (
         browinnerup: brow raise in
         """,
     ),
-    Vocabulary(
-        "MPFB",
-        "expression units of MakeHuman and MPFB: https://github.com/makehumancommunity/mpfb2, "
-        "data/targets/expression/units",
+    # MPFB: expression units of MakeHuman and MPFB: https://github.com/makehumancommunity/mpfb2,
+    # data/targets/expression/units
+    (
+        1,
         """
         eyewide: eye open raise
         eyesquint: eye slit
@@ -144,19 +128,20 @@ VOCABULARIES = (
         nosesneer: nose elevation
         """,
     ),
-    Vocabulary(
-        "FACEGOOD",
-        "https://github.com/FACEGOOD/FACEGOOD-Audio2Face, rig `shirley`; its users' table to ARKit",
+    # FACEGOOD: https://github.com/FACEGOOD/FACEGOOD-Audio2Face, rig `shirley`; its users' table to
+    # ARKit
+    (
+        1,
         """
         jawopen: mouth stretch c
         mouthclose: mouth chew
         browinnerup: brow raise c
         """,
     ),
-    Vocabulary(
-        "Faceshift",
-        "shapes of faceshift studio, from which ARKit's descend, as Vircadia lists them: "
-        "https://docs.vircadia.com/create/avatars/avatar-standards.html",
+    # Faceshift: shapes of faceshift studio, from which ARKit's descend, as Vircadia lists them:
+    # https://docs.vircadia.com/create/avatars/avatar-standards.html
+    (
+        2,
         """
         eyelookdown: eye down
         eyelookup: eye raise
@@ -169,12 +154,12 @@ VOCABULARIES = (
         mouthroll/upper: =lips upper close
         mouthroll/lower: =lips lower close
         """,
-        rank=2,
     ),
-    Vocabulary(
-        "VRM and VRoid",
-        "https://github.com/vrm-c/vrm-specification/blob/master/specification/VRMC_vrm-1.0/"
-        "expressions.md; VRoid Studio's `Fcl_*`",
+    # VRM and VRoid:
+    # https://github.com/vrm-c/vrm-specification/blob/master/specification/VRMC_vrm-1.0/expressions.md;
+    # VRoid Studio's `Fcl_*`
+    (
+        2,
         """
         eyewide: eye spread
         browdown: brow angry
@@ -182,19 +167,18 @@ VOCABULARIES = (
         browinnerup: brow sorrow
         mouthsmile: mouth fun
         """,
-        rank=2,
     ),
-    Vocabulary(
-        "VRM and VRoid, vowels",
-        "as above: the mouth of an open vowel, where no shape opens the jaw alone",
+    # VRM and VRoid, vowels: as above: the mouth of an open vowel, where no shape opens the jaw
+    # alone
+    (
+        4,
         """
         jawopen: mouth a
         """,
-        rank=4,
     ),
-    Vocabulary(
-        "English",
-        "words that animators use for these motions",
+    # English: words that animators use for these motions
+    (
+        3,
         """
         eyeblink: blink | wink | lid close | lid blink | lid down
         eyesquint: squint | eye narrow | eye squeeze | eye tight | lid squint
@@ -222,9 +206,10 @@ VOCABULARIES = (
         nosesneer: sneer | snarl | nose raise | nose scrunch | nose crinkle | nose snarl
         tongueout: tongue stick out
         """,
-        rank=3,
     ),
 )
+"""Rank and phrases of each source: of two shapes with the same meaning, the one of lower rank is
+used."""
 
 ACTION_UNITS = {
     1: "browinnerup",

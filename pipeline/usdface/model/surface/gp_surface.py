@@ -96,7 +96,6 @@ class GpOptions:
     burn_in: int = 40
     """`samples`, `burn_in`: Saved samples of ``'hmc'`` and ``'shared'``, and those before, in which
     the step size is tuned."""
-    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ class GpSurface(SurfaceModel):
         if not len(moved):
             return np.zeros((0, 4, 3, 0))
         # The same random numbers for all frames: sampling errors of neighbouring frames are equal.
-        rng = CommonRandomNumbers(np.random.default_rng(self.options.seed))
+        rng = CommonRandomNumbers(np.random.default_rng(0))
         rows = _rows_of_axes(moved)
         samples, _ = sample_hyperparameters(
             rng, self.table, rows, burn=self.options.burn_in, keep=self.options.samples
@@ -203,7 +202,7 @@ def fit_gp_surface(
     except ValueError as error:
         raise InputError(str(error)) from error
     covariance, table = chosen.covariance, SharedTable(chosen.spectrum)
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng(0)
     cross = covariance.cross(distances.blended_to_points(chosen.blend))
     places = distances.scaled(distances.points)
     of_folds = np.zeros(len(places), np.float32)
