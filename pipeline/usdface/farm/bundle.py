@@ -28,18 +28,13 @@ NOTIFY_SECONDS = 30
 """Time from SIGTERM to the end of a task, for the removal of temporary files."""
 
 
-def check_job_name(name: str) -> None:
-    """Raise InputError if farms would refuse a job's name."""
+def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
+    """Return the template of a job. `name`: shown on the farm, verbatim."""
     if not name.isprintable() or not name.strip() or len(name) > LONGEST_JOB_NAME:
         raise InputError(
             f"job: {name!r} cannot name a job on a farm; give it 1 to {LONGEST_JOB_NAME} "
             "printable characters"
         )
-
-
-def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
-    """Return the template of a job. `name`: shown on the farm, verbatim."""
-    check_job_name(name)
     return {
         "specificationVersion": "jobtemplate-2023-09",
         "name": "{{Param.Job}}",

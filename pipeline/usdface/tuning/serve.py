@@ -8,7 +8,6 @@ import os
 import secrets
 import socket
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import uvicorn
@@ -171,8 +170,9 @@ def _listen(spec: TuneSpec) -> socket.socket:
     """
     if spec.port:
         return _bound(spec.port)
+    digest = hashlib.sha256(str(spec.references.resolve()).encode("utf-8")).digest()
     with contextlib.suppress(InputError):  # another server has it
-        return _bound(_port_of(spec.references))
+        return _bound(_FIRST_PORT + int.from_bytes(digest[:4], "big") % _PORTS)
     return _bound(0)
 
 
@@ -191,8 +191,3 @@ def _bound(port: int) -> socket.socket:
             "or none"
         ) from error
     return listener
-
-
-def _port_of(path: Path) -> int:
-    digest = hashlib.sha256(str(path.resolve()).encode("utf-8")).digest()
-    return _FIRST_PORT + int.from_bytes(digest[:4], "big") % _PORTS

@@ -54,11 +54,6 @@ class _Change:
     fade: int = 0
 
     @property
-    def clears(self) -> bool:
-        """Whether edits are removed."""
-        return self.add is None and self.override is None
-
-    @property
     def reach(self) -> tuple[int, int] | None:
         """Last unchanged frame before and first one after the change; None for all frames."""
         if self.frames is None:
@@ -104,14 +99,14 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     solved, changed = solve_at(reader, frames), dict[str, ShapeEdit]()
     touched = np.zeros(len(frames), dtype=bool)
     for change in changes:
-        mask = change.mask(frames)
+        mask, clears = change.mask(frames), change.add is None and change.override is None
         for shape in change.shapes:
             fresh = ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan))
             old = changed.get(shape, edits.get(shape, fresh))
             solve = np.full(len(frames), np.nan)  # if the solve no longer has the shape
             if shape in reader.names:
                 solve = solved[:, reader.names.index(shape)]
-            touched |= (mask > 0) & (old.curve.active | (not change.clears))
+            touched |= (mask > 0) & (old.curve.active | (not clears))
             changed[shape] = with_curve(old, change.folded(old.curve, mask), solve, mask > 0)
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance

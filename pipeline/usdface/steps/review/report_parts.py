@@ -165,7 +165,9 @@ def page_commands(spec: ReportSpec, shot: Shot, references: Path | None) -> Page
         pairs = read_references(references)
     except InputError:  # reported with the coverage
         return PageCommands()
-    names = [_from_page(path, spec) for path in (spec.performance, references)]
+    folder = spec.out.resolve().parent
+    files = (os.path.relpath(path.resolve(), folder) for path in (spec.performance, references))
+    names = [shlex.quote(file.replace(os.sep, "/")) for file in files]
     return PageCommands(
         add=f"usdface references add {names[0]} --references {names[1]} --out {names[1]}",
         tune=f"usdface tune {names[1]}",
@@ -175,8 +177,3 @@ def page_commands(spec: ReportSpec, shot: Shot, references: Path | None) -> Page
             if take == shot.take.name
         ),
     )
-
-
-def _from_page(path: Path, spec: ReportSpec) -> str:
-    folder = spec.out.resolve().parent
-    return shlex.quote(os.path.relpath(path.resolve(), folder).replace(os.sep, "/"))

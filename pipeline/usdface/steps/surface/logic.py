@@ -50,19 +50,15 @@ def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress) -> StepR
     kept = [each for each in rig.combinations if each.shape not in stated]
     every = order_combinations((*new, *kept), shapes, source=spec.definition or spec.rig)
     write_logic(spec.out, rig, every, provenance=provenance)
-    driven = {each.shape for each in every}
+    driven, rest = {each.shape for each in every}, len(every) - _LISTED_COMBINATIONS
+    more = [f"and {rest} more; --json lists all"] if rest > 0 else []
     return StepResult(
         (spec.out,),
         f"{pluralize(len(every), 'combination')}; {len(shapes) - len(driven)} of "
         f"{pluralize(len(shapes), 'shape')} are animated",
-        (*notes, *map(str, every[:_LISTED_COMBINATIONS]), *_rest(every)),
+        (*notes, *map(str, every[:_LISTED_COMBINATIONS]), *more),
         {"combinations": [_figures(each) for each in every]},
     )
-
-
-def _rest(combinations: tuple[Combination, ...]) -> list[str]:
-    more = len(combinations) - _LISTED_COMBINATIONS
-    return [f"and {more} more; --json lists all"] if more > 0 else []
 
 
 def _figures(combination: Combination) -> dict[str, object]:

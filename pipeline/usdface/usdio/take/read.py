@@ -121,6 +121,7 @@ class TakeReader:
         last = self.last_frame if last is None else last
         self.frames_within((first, last))
         frames = range(first, last + 1)
+        audio = value_of(self._audio, "filePath") if self._audio else None
         return Take(
             name=self.name,
             rate=self.rate,
@@ -129,7 +130,7 @@ class TakeReader:
             source=self.read_source(frames),
             head_motion=self._read_head_motion(frames) if head_motion else None,
             video=self._read_video(),
-            audio=self._read_audio(),
+            audio=None if audio is None else self._resolve(audio),
             performer=self.performer,
             session=self.session,
             emotion=text_of(self._root, "face:emotion"),
@@ -296,10 +297,6 @@ class TakeReader:
             offset=offset,
             drift=drift,
         )
-
-    def _read_audio(self) -> Path | None:
-        asset = value_of(self._audio, "filePath") if self._audio else None
-        return None if asset is None else self._resolve(asset)
 
     def _resolve(self, asset: object) -> Path:
         """Return the path of an asset, which may be missing."""
