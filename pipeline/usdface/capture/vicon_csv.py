@@ -8,8 +8,7 @@ empty line.
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
@@ -77,60 +76,9 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
     return replace(capture, notes=(note, *capture.notes))
 
 
-@dataclass(frozen=True)
-class _BlockHeader:
-    """The lines above the rows of a block."""
-
-    rate: Fraction
-    delimiter: str | None
-    axes: list[str]
-    """Title of every column: ``Frame``, ``Sub Frame``, ``X``, ``Y``, ``Z``, ..."""
-    names: list[str]
-    """Cells above the titles, padded to their number: ``subject:marker`` over every X."""
-    names_line: TableLine
-    starts: list[int]
-    """Column of each marker's X."""
-    unit: str
-    """Of all positions; empty if not stated."""
-    unit_line: TableLine
-    first_row: TableLine | None
-    """The line after the titles if it is a row rather than units."""
-
-
 def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:
     """Read the block whose title has just been read."""
-    header = _read_block_header(path, lines)
-    notes = []
-    others = len(header.axes) - 2 - 3 * len(header.starts)
-    if others > 0:
-        notes.append(f"{others} columns other than positions left out")
-    named = zip(header.names[2:], header.axes[2:], strict=True)
-    table = read_number_table(
-        lines if header.first_row is None else chain([header.first_row], lines),
-        [*header.axes[:2], *(f"{name} {axis}" for name, axis in named)],
-        path=path,
-        delimiter=header.delimiter,
-        gaps=True,
-        stop_at_empty=True,
-    )
-    table = without_repeated_rows(table, notes)
-    first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    field, up_note = f"units, line {header.unit_line.number}", "Vicon's Z taken as up"
-    to_mm = space_to_mm(
-        path, options, notes, units=header.unit, field=field, up="z", up_note=up_note
-    )
-    labels, where = [header.names[at] for at in header.starts], header.names_line.where
-    return build_table_take(
-        CaptureHeader(path, "vicon-csv", header.rate, first_frame, notes=notes),
-        MarkerTable(labels, header.starts, table.values, frames, to_mm, where),
-        options,
-    )
-
-
-def _read_block_header(path: Path, lines: Iterator[TableLine]) -> _BlockHeader:
-    rate_line = _next(lines, path)
-    names_line = _next(lines, path)
-    titles = _next(lines, path)
+    rate_line, names_line, titles = (_next(lines, path) for _ in range(3))
     if not _COLUMNS.match(titles.text):
         raise InputError(
             f"{titles.where}: begins {titles.text[:24]!r}; this line must begin with Frame and "
@@ -144,20 +92,32 @@ def _read_block_header(path: Path, lines: Iterator[TableLine]) -> _BlockHeader:
         raise InputError(
             f"{titles.where}: no columns X, Y, Z; export the trajectories as positions"
         )
+    # `subject:marker` is over every X alone.
     names = [*split_cells(names_line, delimiter), *[""] * len(axes)][: len(axes)]
     unit_line = _next(lines, path)
-    unit_cells = split_cells(unit_line, delimiter)
-    has_units = not "".join(unit_cells[:2])
-    return _BlockHeader(
-        rate=rate,
+    units = split_cells(unit_line, delimiter)
+    has_units = not "".join(units[:2])  # else it is the first row
+    others = len(axes) - 2 - 3 * len(starts)
+    notes = [f"{others} columns other than positions left out"] if others > 0 else []
+    table = read_number_table(
+        lines if has_units else chain([unit_line], lines),
+        [*axes[:2], *(f"{name} {axis}" for name, axis in zip(names[2:], axes[2:], strict=True))],
+        path=path,
         delimiter=delimiter,
-        axes=axes,
-        names=names,
-        names_line=names_line,
-        starts=starts,
-        unit=_one_unit(unit_line, unit_cells, starts) if has_units else "",
-        unit_line=unit_line,
-        first_row=None if has_units else unit_line,
+        gaps=True,
+        stop_at_empty=True,
+    )
+    table = without_repeated_rows(table, notes)
+    first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
+    unit = _one_unit(unit_line, units, starts) if has_units else ""
+    field, up_note = f"units, line {unit_line.number}", "Vicon's Z taken as up"
+    to_mm = space_to_mm(path, options, notes, units=unit, field=field, up="z", up_note=up_note)
+    return build_table_take(
+        CaptureHeader(path, "vicon-csv", rate, first_frame, notes=notes),
+        MarkerTable(
+            [names[at] for at in starts], starts, table.values, frames, to_mm, names_line.where
+        ),
+        options,
     )
 
 
