@@ -71,7 +71,11 @@ class TuningLock:
             except FileExistsError:
                 holder = self.holder()
                 if holder is not None and not take_over and not self._is_stale(holder):
-                    raise InputError(self._holder_message(holder, remedy)) from None
+                    raise InputError(
+                        f"{self.path.name.removesuffix('.lock')}: {holder.user} on {holder.host} "
+                        f"has been tuning it since {holder.since} (process {holder.process}); "
+                        f"{remedy}"
+                    ) from None
                 self.taken_from = holder
                 with contextlib.suppress(FileNotFoundError):
                     self.path.unlink()
@@ -148,12 +152,6 @@ class TuningLock:
             return time.time()
         finally:
             probe.unlink(missing_ok=True)
-
-    def _holder_message(self, holder: Holder, remedy: str) -> str:
-        return (
-            f"{self.path.name.removesuffix('.lock')}: {holder.user} on {holder.host} has been "
-            f"tuning it since {holder.since} (process {holder.process}); {remedy}"
-        )
 
 
 def _parse_holder(data: object) -> Holder | None:

@@ -238,20 +238,15 @@ def _read_place(
 
 def _under_ball(prim: Usd.Prim, face: BoundSurface) -> SurfacePoints:
     """Return the place nearest to a marker's sphere, which must be near the mesh."""
-    mesh, at = face.mesh, _ball(prim)
+    mesh, ball = face.mesh, np.array(prim.GetAttribute(TRANSLATE).Get(), np.float64)
+    if not np.isfinite(ball).all():
+        raise ValueError(f"its ball is at {ball.tolist()}")
+    at = ball[None] @ stage_to_ours(prim.GetStage()).T
     places = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, at)
     away = float(np.linalg.norm(places.positions(mesh.points) - at))
     if away > face.reach_mm:
         raise ValueError(f"its ball is {away:.0f} mm off it")
     return places
-
-
-def _ball(prim: Usd.Prim) -> FloatArray:
-    """Return the position of a marker's sphere: (1, 3) float array [mm]."""
-    at = np.array(prim.GetAttribute(TRANSLATE).Get(), np.float64).reshape(1, 3)
-    if not np.isfinite(at).all():
-        raise ValueError(f"its ball is at {at[0].tolist()}")
-    return np.asarray(at @ stage_to_ours(prim.GetStage()).T)
 
 
 def _corrected(prim: Usd.Prim, name: str) -> bool:

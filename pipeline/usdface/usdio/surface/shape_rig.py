@@ -115,11 +115,10 @@ def write_shape_rig(
         relation = Sdf.RelationshipSpec(binding, "skel:blendShapeTargets", False)
         relation.targetPathList.explicitItems = targets
         everything = transform_points(face.world, np.concatenate(extremes))
-        extent = vector_array(np.stack([everything.min(axis=0), everything.max(axis=0)]))
-        attribute = Sdf.AttributeSpec(
+        extent = Sdf.AttributeSpec(
             layer.GetPrimAtPath(root), "extent", Sdf.ValueTypeNames.Float3Array
         )
-        attribute.default = extent
+        extent.default = vector_array(np.stack([everything.min(axis=0), everything.max(axis=0)]))
     return written
 
 
@@ -171,9 +170,7 @@ def _bind_mesh(
         attribute.default = value
         attribute.SetInfo("interpolation", "constant")
         attribute.SetInfo("elementSize", 1)
-    if "skel:joints" in {
-        each.GetName() for each in source.GetPrimAtPath(face.path).GetAttributes()
-    }:
+    if source.GetPrimAtPath(face.path).HasAttribute("skel:joints"):
         author_uniform(prim, "skel:joints", kinds.TokenArray, Sdf.ValueBlock())
     ours = stage_to_ours(source)
     home = np.asarray(np.linalg.inv(face.world), np.float64)

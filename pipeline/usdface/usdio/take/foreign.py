@@ -68,10 +68,10 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
         times = UsdSkel.Animation(weights).GetBlendShapeWeightsAttr().GetTimeSamples()
         sets = [_MarkerSet("", "", (), times, lambda time: np.zeros((0, 3)))]
     (markers,), ours = sets, stage_to_ours(stage)
-    grid = _frame_grid(stage, markers.times, path)
+    rate, first_frame, stage_times, sampled = _frame_grid(stage, markers.times, path)
     names, kind = markers.names, markers.kind and f"{markers.kind} <{markers.path}>"
-    positions = np.empty((len(grid.stage_times), len(names), 3), dtype=np.float32)
-    for index, time in enumerate(grid.stage_times):
+    positions = np.empty((len(stage_times), len(names), 3), dtype=np.float32)
+    for index, time in enumerate(stage_times):
         row = markers.at(time)
         if len(row) != len(names):
             raise InputError(
@@ -79,30 +79,27 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
                 f"{len(names)} markers; every marker must keep its slot over the take"
             )
         positions[index] = row @ ours.T
-    visible = grid.sampled[:, None] & ~np.isnan(positions).any(axis=2)
+    visible = sampled[:, None] & ~np.isnan(positions).any(axis=2)
     source = None
     if weights is not None:
         animation = UsdSkel.Animation(weights)
         channels = names_in(animation.GetBlendShapesAttr())
         attribute = animation.GetBlendShapeWeightsAttr()
-        times, remedy = grid.stage_times.tolist(), "export the animation again"
+        times, remedy = stage_times.tolist(), "export the animation again"
         values = read_array_samples(
             path, attribute, times, channels, kind=np.float32, remedy=remedy
         )
-        source = WeightsClip(channels, values, grid.first_frame, grid.rate)
-    return ForeignTake(grid.rate, grid.first_frame, kind, names, positions, visible, source)
+        source = WeightsClip(channels, values, first_frame, rate)
+    return ForeignTake(rate, first_frame, kind, names, positions, visible, source)
 
 
-@dataclass(frozen=True)
-class _Grid:
-    rate: Fraction
-    first_frame: int
-    stage_times: FloatArray
-    sampled: BoolArray
+def _frame_grid(
+    stage: Usd.Stage, times: list[float], path: Path
+) -> tuple[Fraction, int, FloatArray, BoolArray]:
+    """Return rate and first frame of samples, and the time code of each frame and if it has one.
 
-
-def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
-    """Return the frames of samples: the median spacing is one frame, missing ones are gaps."""
+    The median spacing is one frame, and missing ones are gaps.
+    """
     at = np.array(sorted(times))
     if len(at) < 2:
         raise InputError(f"{path}: {len(at)} time samples; a take needs at least two frames")
@@ -125,12 +122,8 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
         )
     sampled = np.zeros(steps[-1] + 1, dtype=np.bool_)
     sampled[steps] = True
-    return _Grid(
-        rate=exact_rate(per_second / spacing, where=f"{path}: sample spacing"),
-        first_frame=round(at[0] / spacing),
-        stage_times=at[0] + spacing * np.arange(len(sampled)),
-        sampled=sampled,
-    )
+    rate = exact_rate(per_second / spacing, where=f"{path}: sample spacing")
+    return rate, round(at[0] / spacing), at[0] + spacing * np.arange(len(sampled)), sampled
 
 
 @dataclass(frozen=True)
