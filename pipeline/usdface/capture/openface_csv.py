@@ -6,7 +6,7 @@ intensities of action units ``AU01_r``, … are 0 to 5. Rows with success 0 hold
 
 import re
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import cast
@@ -50,64 +50,47 @@ def is_openface_csv(head: bytes) -> bool:
     return set(head_titles(head)).issuperset(_NEEDED)
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Columns by title, numbers of the landmarks, and names of the action units."""
-
-    titles: list[str]
-    at: dict[str, int]
-    landmarks: list[str]
-    units: list[str]
-
-    @property
-    def others(self) -> int:
-        """Number of columns that are not read."""
-        used = len(_NEEDED) + 3 * len(self.landmarks) + len(self.units) + ("face_id" in self.at)
-        return len(self.titles) - used
-
-
 def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     """Read landmarks as markers, and intensities divided by 5 as channels."""
     lines = read_lines(path)
     header, delimiter, titles = read_header(lines)
-    columns = _find_columns(titles, header)
-    table = read_number_table(lines, columns.titles, path=path, delimiter=delimiter, gaps=True)
+    at, landmarks, units = _find_columns(titles, header)
+    table = read_number_table(lines, titles, path=path, delimiter=delimiter, gaps=True)
     notes = []
-    if columns.others:
-        notes.append(
-            f"{columns.others} other columns left out: 2-D and eye landmarks, gaze, head pose"
-        )
-    table = _one_face(table, columns.at.get("face_id"), notes)
+    others = len(titles) - len(_NEEDED) - 3 * len(landmarks) - len(units) - ("face_id" in at)
+    if others:
+        notes.append(f"{others} other columns left out: 2-D and eye landmarks, gaze, head pose")
+    table = _one_face(table, at.get("face_id"), notes)
     first_frame, frames = resolve_frame_numbers(
-        table.values[:, columns.at["frame"]], table.lines, where=str(path)
+        table.values[:, at["frame"]], table.lines, where=str(path)
     )
     if options.rate is not None:
         rate = exact_rate(options.rate, where="--rate")
     else:
-        rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
+        rate = rate_of_times(table.values[:, at["timestamp"]], frames, where=str(path))
         if rate >= _FASTEST_CAMERA:
             notes.append(
                 f"{float(rate):g} frames per second by the timestamps, as OpenFace counts pictures "
                 "whose rate it does not know; state it with --rate"
             )
-    seen = _rows_with_face(table.values[:, columns.at["success"]], path, notes)
+    seen = _rows_with_face(table.values[:, at["success"]], path, notes)
     source = None
-    if columns.units:
-        source = _read_units(table, columns, seen, frames, first_frame, rate, path=path)
+    if units:
+        source = _read_units(table, units, seen, frames, first_frame, rate, path=path)
         notes.append("action units are kept as channels, intensity / 5")
-    if not columns.landmarks:
+    if not landmarks:
         take = Take(path.stem, rate, first_frame, source=source)
         return Capture(take, "openface-csv", tuple(notes))
 
-    axes = [[columns.at[f"{axis}_{number}"] for number in columns.landmarks] for axis in "XYZ"]
+    axes = [[at[f"{axis}_{number}"] for number in landmarks] for axis in "XYZ"]
     points = table.values[:, np.array(axes).T]
     points[~seen] = np.nan
     to_mm = resolve_units("mm", options, notes, where=str(path), field="OpenFace") * _TO_Y_UP
     capture = build_table_take(
         CaptureHeader(path, "openface-csv", rate, first_frame, notes=notes),
         MarkerTable(
-            [f"landmark_{number}" for number in columns.landmarks],
-            range(0, 3 * len(columns.landmarks), 3),
+            [f"landmark_{number}" for number in landmarks],
+            range(0, 3 * len(landmarks), 3),
             points.reshape(len(points), -1),
             frames,
             to_mm,
@@ -116,26 +99,29 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
         options,
     )
     confidence = np.zeros(int(frames[-1]) + 1)
-    stated = table.values[:, columns.at["confidence"]]
+    stated = table.values[:, at["confidence"]]
     confidence[frames] = np.nan_to_num(stated, posinf=0, neginf=0)
     return _add(capture, source, confidence)
 
 
-def _find_columns(titles: list[str], header: TableLine) -> _Columns:
+def _find_columns(
+    titles: list[str], header: TableLine
+) -> tuple[dict[str, int], list[str], dict[str, int]]:
+    """Return columns by title, numbers of landmarks, and columns of action units by name."""
     at = index_of(titles)
     landmarks = [
         match[1]
         for match in map(_LANDMARK.fullmatch, titles)
         if match and f"Y_{match[1]}" in at and f"Z_{match[1]}" in at
     ]
-    units = [match[1] for match in map(_INTENSITY.fullmatch, titles) if match]
+    units = {match[1]: at[match[0]] for match in map(_INTENSITY.fullmatch, titles) if match}
     missing = [title for title in _NEEDED if title not in at]
     if missing or not (landmarks or units):
         wanted = ", ".join(missing) or "3-D landmarks (X_0 …) nor intensities (AU01_r …)"
         raise InputError(
             f"{header.where}: no {wanted}; run FeatureExtraction on the video with -3Dfp and -aus"
         )
-    return _Columns(titles, at, landmarks, units)
+    return at, landmarks, units
 
 
 def _rows_with_face(success: FloatArray, path: Path, notes: list[str]) -> BoolArray:
@@ -169,7 +155,7 @@ def _one_face(table: NumberTable, face_column: int | None, notes: list[str]) -> 
 
 def _read_units(
     table: NumberTable,
-    columns: _Columns,
+    units: dict[str, int],
     seen: BoolArray,
     frames: IntArray,
     first_frame: int,
@@ -178,23 +164,21 @@ def _read_units(
     path: Path,
 ) -> WeightsClip:
     """Return intensities as weights for all frames, interpolated where there is no face."""
-    at = [columns.at[f"{unit}_r"] for unit in columns.units]
-    values = table.values[:, at][seen] / _HIGHEST_INTENSITY
+    values = table.values[:, list(units.values())][seen] / _HIGHEST_INTENSITY
     finite = np.isfinite(values)
     if not finite.all():
         row, unit = np.argwhere(~finite)[0]
+        name = list(units)[unit]
         raise InputError(
-            f"{path} line {table.lines[seen][row]}, column {at[unit] + 1} "
-            f"({columns.units[unit]}_r): not a number in a row with a face; run OpenFace again"
+            f"{path} line {table.lines[seen][row]}, column {units[name] + 1} ({name}_r): not a "
+            "number in a row with a face; run OpenFace again"
         )
     filled = fill_frames(values, frames[seen].astype(np.float64))
     before, after = int(frames[seen][0]), int(frames[-1] - frames[seen][-1])
     held = np.pad(filled, ((before, after), (0, 0)), mode="edge")
     missing = np.ones(len(held), bool)
     missing[frames[seen]] = False
-    return WeightsClip(
-        tuple(columns.units), held, first_frame, rate, gap_ranges(missing, first_frame)
-    )
+    return WeightsClip(tuple(units), held, first_frame, rate, gap_ranges(missing, first_frame))
 
 
 def _add(capture: Capture, source: WeightsClip | None, confidence: FloatArray) -> Capture:
