@@ -1,7 +1,7 @@
 """Add edited frames of performances to the references, as tuned pairs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import starmap
 from pathlib import Path
 
@@ -60,14 +60,14 @@ def run(spec: ReferencesFromEditsSpec, *, provenance: Provenance, progress: Prog
     """Add the edited frames to the references as tuned pairs."""
     old = read_references(spec.references)
     notes: list[str] = []
-    edited: list[_EditedFrames] = []
+    edited: list[_EditedFrame] = []
     takes = pair_with_files(spec.performances, spec.take, "take")
     for index, (performance, moved_take) in enumerate(takes):
-        edited.append(_edited_frames(spec, performance, old, moved_take, notes))
+        edited += _edited_frames(spec, performance, old, moved_take, notes)
         progress(0.8 * (index + 1) / len(spec.performances), f"read {performance.name}")
     references = _with_edited(old, edited, notes)
     added = len(references.frames) - len(old.frames)
-    if not any(len(each.frames) for each in edited):
+    if not edited:
         raise InputError(f"there is no frame to add; {'; '.join(notes)}")
     files = write_extended(spec, references, notes, provenance, part(progress, 0.8, 1.0))
     return StepResult(
@@ -83,19 +83,8 @@ def run(spec: ReferencesFromEditsSpec, *, provenance: Provenance, progress: Prog
     )
 
 
-@dataclass(frozen=True)
-class _EditedFrames:
-    """Edited frames of a performance."""
-
-    take: str
-    frames: IntArray
-    captured: FloatArray
-    """(frames, ...): markers, or weights of a take without markers."""
-    weights: FloatArray
-    """(frames, shapes): edited weights."""
-
-
-_NO_FRAMES = _EditedFrames("", np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
+_EditedFrame = tuple[str, int, FloatArray, FloatArray]
+"""Take and frame, its markers or, of a take without markers, weights, and the edited weights."""
 
 
 def _edited_frames(
@@ -104,7 +93,7 @@ def _edited_frames(
     old: References,
     moved_take: Path | None,
     notes: list[str],
-) -> _EditedFrames:
+) -> list[_EditedFrame]:
     reader = PerformanceReader(performance)
     check_shapes(reader, old, spec.references)
     edited = reader.edited().astype(np.float64)
@@ -115,7 +104,7 @@ def _edited_frames(
     rows = np.flatnonzero(full_strength_frames(curves, changes[:, columns].T))
     if not len(rows):
         notes.append(f"{performance}: no frame was edited by more than {LEAST_CHANGE:g}")
-        return _NO_FRAMES
+        return []
     take = find_captured_take(performance, old, moved_take)
     frames = reader.take_frames_at(reader.frames[rows])
     captured, seen = captured_markers(take, old, frames)
@@ -126,12 +115,15 @@ def _edited_frames(
             f"{pluralize(int((~seen).sum()), 'edited frame')}; {advise_markers(take, old)}"
         )
     if not len(rows):
-        return _NO_FRAMES
+        return []
     chosen = choose_distant_rows(edited[rows], changes.max(axis=1)[rows], spec.count)
     if len(chosen) < len(rows):
         notes.append(f"{performance}: used {len(chosen)} of {len(rows)} edited frames")
     weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
-    return _EditedFrames(take.name, frames[chosen], captured[chosen], weights)
+    return [
+        (take.name, int(frames[row]), captured[row], edited_weights)
+        for row, edited_weights in zip(chosen, weights, strict=True)
+    ]
 
 
 def advise_markers(take: TakeReader, old: References) -> str:
@@ -314,29 +306,29 @@ def _left_out(out: Path, references: References) -> list[str]:
     ]
 
 
-def _with_edited(old: References, edited: list[_EditedFrames], notes: list[str]) -> References:
+def _with_edited(old: References, edited: list[_EditedFrame], notes: list[str]) -> References:
     """Return references with edited frames as new pairs, or as new weights of existing pairs."""
     known = index_of(zip(old.takes, old.frames.tolist(), strict=True))
     weights, tuned, authors = old.weights.copy(), old.tuned.copy(), list(old.authors)
     new: dict[tuple[str, int], tuple[FloatArray, FloatArray]] = {}
     renewed = 0
-    for each in edited:
-        for row, frame in enumerate(each.frames.tolist()):
-            key = (each.take, frame)
-            pair = known.get(key)
-            if pair is None:  # of a frame edited in two performances, the later one counts
-                new[key] = (each.captured[row], each.weights[row])
-            else:
-                if authors and np.abs(weights[pair] - each.weights[row]).max() > SAME_WEIGHT:
-                    authors[pair] = ""  # `train` brings the keys of an author to one gain
-                weights[pair], tuned[pair] = each.weights[row], True
-                renewed += 1
+    for take, frame, captured, edited_weights in edited:
+        pair = known.get((take, frame))
+        if pair is None:  # of a frame edited in two performances, the later one counts
+            new[take, frame] = captured, edited_weights
+        else:
+            if authors and np.abs(weights[pair] - edited_weights).max() > SAME_WEIGHT:
+                authors[pair] = ""  # `train` brings the keys of an author to one gain
+            weights[pair], tuned[pair] = edited_weights, True
+            renewed += 1
     if renewed:
         notes.append(f"existing pairs with new weights: {pluralize(renewed, 'edited frame')}")
     extended = replace(old, weights=weights, tuned=tuned, authors=tuple(authors))
-    for (take, number), (captured, row_weights) in new.items():
-        frames = np.array([number], dtype=np.int64)
-        extended = with_pairs(extended, take, frames, captured[None], row_weights[None], tuned=True)
+    for (take, frame), (captured, edited_weights) in new.items():
+        frames = np.array([frame], dtype=np.int64)
+        extended = with_pairs(
+            extended, take, frames, captured[None], edited_weights[None], tuned=True
+        )
     return extended
 
 
