@@ -115,10 +115,11 @@ def _read_by_vocabulary(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _motions(offsets: sparse.csr_array) -> FloatArray:
     """Return displacements: (shapes, points) [mm]."""
-    points = offsets.indices // 3  # each three times: a dense array holds the sum of its entries
+    points = offsets.indices // 3  # each three times, which are added
     shape = (offsets.shape[0], offsets.shape[1] // 3)
-    squares = sparse.csr_array((offsets.data**2, points, offsets.indptr), shape=shape)
-    return np.asarray(np.sqrt(squares.toarray()))
+    squares = sparse.csr_array((offsets.data**2, points, offsets.indptr.copy()), shape=shape)
+    squares.sum_duplicates()
+    return np.asarray(squares.sqrt().toarray())
 
 
 def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntArray]:

@@ -213,7 +213,7 @@ class FaceSkin:
 
     def activity(self) -> FloatArray:
         """Return the root of the summed squared displacements of each sample: (samples,) [mm]."""
-        return np.sqrt((self.deltas**2).sum(axis=(0, 2), dtype=np.float64))
+        return _activity(self.deltas)
 
     def mirrored(self, points: FloatArray) -> FloatArray:
         """Return points of the face's frame reflected in its plane of symmetry."""
@@ -248,7 +248,7 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
     by_axis = deltas_at(matrix, corners, shares, axes=frame).astype(np.float32).toarray()
     deltas = np.moveaxis(by_axis.reshape(len(by_axis), 3, -1), 1, 2)
-    moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
+    moved = _activity(deltas)
     unit = rms_radius(skin.positions, moved) / TYPICAL_SIZE_MM
     deltas /= np.float32(unit)
     positions = skin.positions @ frame.T / unit
@@ -263,6 +263,13 @@ def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sp
         deltas,
         _sagittal_x(positions[moved > _ACTIVE_SHARE * moved.max()]),
     )
+
+
+def _activity(deltas: Float32Array) -> FloatArray:
+    total = np.zeros(deltas.shape[1])
+    for shape in deltas:  # one at a time: their squares stay in the cache
+        total += (shape**2).sum(axis=1, dtype=np.float64)
+    return np.sqrt(total)
 
 
 _CARRIED_SHARE = 0.85
