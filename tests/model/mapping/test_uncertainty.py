@@ -355,7 +355,7 @@ def test_errors_that_low_confidence_states_are_counted_once() -> None:
 
 
 def test_a_residual_that_the_forward_model_expects_is_no_surprise() -> None:
-    """Far from the references it is as large as the predictive variance, and chi2 is 1."""
+    """Far from the references it is as large as half the predictive variance, and chi2 is 1."""
     face = face_in_parts(noise=0.05)
     keys = face.weights.copy()
     keys[:, 4:] *= 0.2  # expressions of the mouth that no reference shows
@@ -366,7 +366,7 @@ def test_a_residual_that_the_forward_model_expects_is_no_surprise() -> None:
     visible = np.ones((len(open_mouth), MARKERS), dtype=bool)
     solution = solver.solve(np.zeros((*visible.shape, 3)), visible, open_mouth, bounded=False)
     assert solution.predictive.mean() > 4 * solver.residual_variance.mean()
-    deviation = np.sqrt(solver.residual_variance + solution.predictive)
+    deviation = np.sqrt(solver.residual_variance + solution.predictive / 2)
     drawn = np.random.default_rng(0).normal(size=(*visible.shape, 3)) * deviation[..., None]
     solution = replace(solution, residual=drawn.reshape(len(visible), -1))
     chi2, _ = model._residual_terms(solver, solution, visible)

@@ -14,9 +14,10 @@ tongue, which no marker shows.
 The posterior covers visibility, distance from the references, and the error of the rig as a prior,
 but not motion that no weights explain. ``chi2_g`` is the squared residual at the solution relative
 to its expected value, averaged over the markers that the region's shapes move; expected are the
-residuals of the references, `FrameSolution.unknown2`, as in ``W``, and the predictive variance of
-the forward model (decision 60). ``d_g^2`` is the mean squared residual in excess of the first two.
-With ``a`` the motion of the rig over that of the performer, the standard deviation is ::
+residuals of the references, `FrameSolution.unknown2`, as in ``W``, and half of the predictive
+variance of the forward model (decision 60). ``d_g^2`` is the mean squared residual in excess of the
+first two. With ``a`` the motion of the rig over that of the performer, the standard deviation
+is ::
 
     sigma_g = c_g sqrt(min(v_g (1 + chi2_g), max(v_g, tr(G_g V))) + (a d_g)^2),  v_g = tr(G_g D C D)
 
@@ -78,6 +79,10 @@ is as uncertain as the constants of regions differ."""
 _CALIBRATION_RANGE = (1.0, 4.0)
 """Limits of ``c``. It never narrows the posterior: folds lack references that the mapping has, so
 that their posteriors are wider than those of takes (decision 43)."""
+
+_PREDICTED_SHARE = 0.5
+"""Share of the forward model's predictive variance that residuals are expected to have: weights
+follow the rest. Chosen among 0, 1/4, 1/2 and 1 (decision 60)."""
 
 _LEAST_KEY_ERROR = 0.05
 """Smallest relative error of the keys of one shape: animators set weights in such steps. Residuals
@@ -198,11 +203,12 @@ class UncertaintyModel:
         squared = (solution.residual.reshape(len(visible), -1, 3) ** 2).sum(axis=2)
         squared = np.maximum(squared, solution.unknown2)  # filled markers have the others' residual
         expected = 3 * solver.residual_variance + solution.unknown2
+        predicted = expected + 3 * _PREDICTED_SHARE * solution.predictive
         weight = np.einsum("rss->rs", self.grams) @ solver.marker_share
         share = weight / np.maximum(visible @ weight.T, 1e-12)[:, :, None]
         chi2, excess2 = (
             np.einsum("frk,fk->fr", share, each * visible, optimize=True)
-            for each in (squared / (expected + 3 * solution.predictive), squared - expected)
+            for each in (squared / predicted, squared - expected)
         )
         return chi2, np.maximum(excess2, 0.0)
 
