@@ -92,7 +92,7 @@ class FrameSolution:
     residual: RealArray
     """(frames, 3 markers): ``y - f(t)``; 0 where a marker is not visible [mm]."""
     predictive: RealArray
-    """(frames, markers): variance of a coordinate that the forward model predicts [mm^2]."""
+    """(frames, markers): predictive variance of a coordinate at t0, without noise [mm^2]."""
     unknown2: RealArray
     """(frames, markers): mean squared error of the markers by their confidence [mm^2]."""
     hessian: RealArray | None
