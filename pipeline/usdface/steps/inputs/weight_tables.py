@@ -277,11 +277,14 @@ def _exported_table(
     return WeightTable(
         names,
         exported.frames,
-        np.stack([values for (_, values), *_ in exported.curves], axis=1),
+        np.stack([curves[0].values for curves in exported.curves], axis=1),
         None if clamped else exported.rate,  # Blender imports time codes as frames at any rate
         exported.keyed,
-        tuple(mesh for (mesh, _), *_ in exported.curves),
-        {name: dict(others) for name, (_, *others) in zip(names, exported.curves, strict=True)},
+        tuple(curves[0].mesh for curves in exported.curves),
+        {
+            name: {curve.mesh: curve.values for curve in curves[1:]}
+            for name, curves in zip(names, exported.curves, strict=True)
+        },
         clamped=clamped,
     )
 

@@ -26,14 +26,23 @@ MAKER = "Blender"
 
 
 @dataclass(frozen=True)
+class MeshCurve:
+    """A shape's weights on one mesh."""
+
+    mesh: str
+    """The prim's name."""
+    values: FloatArray
+    """(frames,)"""
+
+
+@dataclass(frozen=True)
 class ExportedWeights:
     """Weights of shapes on all meshes that have them."""
 
     names: tuple[str, ...]
     """Of the BlendShape prims: identifiers (`blender_names`)."""
-    curves: tuple[tuple[tuple[str, FloatArray], ...], ...]
-    """By shape, the name of each mesh's prim and its weights, (frames,); the mesh with the most
-    shapes first."""
+    curves: tuple[tuple[MeshCurve, ...], ...]
+    """By shape; the mesh with the most shapes first."""
     frames: tuple[int, ...]
     rate: Fraction
     keyed: frozenset[int]
@@ -83,10 +92,10 @@ def read_exported_weights(path: Path) -> ExportedWeights | None:
             shapes = dict(zip(channels, (each.name for each in targets), strict=False))
             of_mesh = {shape: columns[name] for name, shape in shapes.items() if name in columns}
             by_mesh.append((len(of_mesh), mesh.GetPrim().GetName(), of_mesh))
-    curves: dict[str, list[tuple[str, FloatArray]]] = {}
+    curves: dict[str, list[MeshCurve]] = {}
     for _, mesh_name, of_mesh in sorted(by_mesh, key=lambda mesh: (-mesh[0], mesh[1])):
         for shape, column in of_mesh.items():
-            curves.setdefault(shape, []).append((mesh_name, column))
+            curves.setdefault(shape, []).append(MeshCurve(mesh_name, column))
     if not curves:
         return None
     return ExportedWeights(
