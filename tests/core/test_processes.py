@@ -61,6 +61,15 @@ def test_ctrl_c_in_a_terminal_ends_all_of_them_and_only_the_first_says_so(tmp_pa
     assert ends(process.pid), "one of them lives on"
 
 
+def test_they_end_if_the_first_is_killed(tmp_path: Path) -> None:
+    process = run_script(tmp_path, 60)
+    assert process.stdout is not None
+    assert any(line == "sleeping\n" for line in process.stdout)
+    process.kill()
+    process.communicate(timeout=30)  # until none of them holds its output
+    assert ends(process.pid), "one of them lives on"
+
+
 def ends(group: int) -> bool:
     """Wait for a group of processes; multiprocessing's own helper may be the last."""
     for _ in range(100):

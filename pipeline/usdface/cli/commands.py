@@ -136,7 +136,7 @@ def demo(
 
     model = _demo_model(dog, source, model, video_lines)
     # On stderr, as stdout may be JSON; before the imports, which take a second or two.
-    typer.echo(f"making a demo in {out_folder}; this takes about a minute", err=True)
+    typer.echo(f"making a demo in {out_folder}; this takes half a minute to a minute", err=True)
     with progress_listener(progress) as listener:
         job = out_folder / (DOG_JOB_NAME if dog else JOB_NAME)
         events = showing_events(job, [], style=progress, as_json=as_json)

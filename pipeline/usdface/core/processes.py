@@ -7,8 +7,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from functools import partial
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -64,7 +66,8 @@ def worker_processes(
     """Start processes with the first work, and end them with the block.
 
     They are spawned, since a fork would copy locks of the ray tracer and of codecs. Ctrl+C reaches
-    this process alone; if the block raises, the others end within a second.
+    this process alone; if the block raises, the others end within a second. They also end
+    if this process is killed.
 
     `set_up`: called once in each, with the given arguments and a function that returns whether to
     stop.
@@ -72,7 +75,10 @@ def worker_processes(
     context = get_context("spawn")
     stop, others = context.Event(), set(active_children())
     pool = ProcessPoolExecutor(
-        count, mp_context=context, initializer=set_up, initargs=(*given, stop.is_set)
+        count,
+        mp_context=context,
+        initializer=partial(_start, set_up),
+        initargs=(*given, stop.is_set),
     )
 
     def submit(work: Callable[..., Any], *arguments: object) -> Future[Any]:
@@ -91,6 +97,19 @@ def worker_processes(
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start(set_up: Callable[..., None], *given: object) -> None:
+    """Set up this worker. Its pipes stay open without a parent, since it holds both ends."""
+    Thread(target=_end_with_parent, daemon=True).start()
+    set_up(*given)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager
