@@ -5,11 +5,18 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
+from threading import Event
 
 import pytest
 
-from usdface.core.processes import map_threads, process_count, worker_processes
+from usdface.core.processes import (
+    background_thread,
+    map_threads,
+    process_count,
+    worker_processes,
+)
 
 SCRIPT = """
 import os, signal, sys, threading, time
@@ -101,6 +108,19 @@ def test_work_that_fails_is_raised_here() -> None:
         worker_processes(1, print) as give_work,
     ):
         give_work(divmod, 1, 0).result()
+
+
+def test_an_error_does_not_wait_for_the_background_thread() -> None:
+    ended, waiting = Event(), []
+    with suppress(ZeroDivisionError), background_thread() as submit:
+        waiting += [submit(ended.wait, 60) for _ in range(2)]
+        divmod(1, 0)
+    assert not waiting[0].done()
+    assert waiting[1].cancelled()
+    ended.set()
+    with background_thread() as submit:
+        work = submit(time.sleep, 0.1)
+    assert work.done()
 
 
 def test_there_are_as_many_as_are_wanted_or_as_there_are_cores(

@@ -60,6 +60,21 @@ def map_threads(function: Callable[[Given], Made], items: Iterable[Given]) -> li
 
 
 @contextmanager
+def background_thread() -> Iterator[SubmitWork]:
+    """Start a thread with the first work, which is not waited for if the block raises.
+
+    For functions that release Python's lock and write no files.
+    """
+    pool = ThreadPoolExecutor(1)
+    try:
+        yield pool.submit
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+@contextmanager
 def worker_processes(
     count: int, set_up: Callable[..., None], *given: object
 ) -> Iterator[SubmitWork]:

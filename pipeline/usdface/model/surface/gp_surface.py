@@ -1,7 +1,6 @@
 """Gaussian process over a surface (W06): displacements of a mesh from noisy markers."""
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks, nearest_distances
 from usdface.core.errors import InputError
+from usdface.core.processes import background_thread
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
     BLENDS_TRIED,
@@ -133,12 +133,12 @@ class GpSurface(SurfaceModel):
         self, moved: FloatArray, measured: BoolArray, size: int
     ) -> Iterator[SurfaceMotion]:
         # The next block is sampled while this one is predicted.
-        with ThreadPoolExecutor(max_workers=1) as executor:
-            sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES])
+        with background_thread() as submit:
+            sampled = submit(self._sample, moved[:_SAMPLED_FRAMES])
             for rows in frame_blocks(len(moved), frames=_SAMPLED_FRAMES):
                 theta = sampled.result()
                 following = moved[rows.stop : rows.stop + _SAMPLED_FRAMES]
-                sampled = executor.submit(self._sample, following)
+                sampled = submit(self._sample, following)
                 block, known = moved[rows], measured[rows]
                 for part in frame_blocks(len(block), frames=size):
                     yield self._fields(block[part], known[part], theta[..., part])

@@ -10,7 +10,7 @@ from threading import Event
 
 import numpy as np
 
-from usdface.core.processes import usable_cores
+from usdface.core.processes import background_thread, usable_cores
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
@@ -70,9 +70,8 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress) -> StepR
     shots = open_shots(spec)
     with ExitStack() as open_files:
         cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
-        pool = ThreadPoolExecutor(1)
-        open_files.callback(pool.shutdown, wait=False)  # Ctrl+C does not wait for a large surface
-        opening = pool.submit(_open_pictures, spec, shots, cameras)
+        submit = open_files.enter_context(background_thread())
+        opening = submit(_open_pictures, spec, shots, cameras)
         comparison = compare_shots(spec, shots, progress)
         pictures = opening.result()
         desks, stopped = list[_Desk](), Event()
