@@ -12,7 +12,7 @@ from threading import Event
 import pytest
 
 from usdface.core.processes import (
-    background_thread,
+    background_threads,
     map_threads,
     process_count,
     worker_processes,
@@ -110,15 +110,15 @@ def test_work_that_fails_is_raised_here() -> None:
         give_work(divmod, 1, 0).result()
 
 
-def test_an_error_does_not_wait_for_the_background_thread() -> None:
+def test_an_error_does_not_wait_for_the_background_threads() -> None:
     ended, waiting = Event(), []
-    with suppress(ZeroDivisionError), background_thread() as submit:
+    with suppress(ZeroDivisionError), background_threads() as submit:
         waiting += [submit(ended.wait, 60) for _ in range(2)]
         divmod(1, 0)
     assert not waiting[0].done()
     assert waiting[1].cancelled()
     ended.set()
-    with background_thread() as submit:
+    with background_threads() as submit:
         work = submit(time.sleep, 0.1)
     assert work.done()
 

@@ -46,32 +46,31 @@ def usable_cores() -> int:
         return os.cpu_count() or 1
 
 
-def map_threads(function: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
-    """Return a function of each item, computed on the usable cores, at most `_MOST_THREADS`.
-
-    For arithmetic on arrays, which releases Python's lock. Items must not depend on the number of
-    cores, as results would in their rounding.
-    """
-    given = list(items)
-    if len(given) < 2:
-        return [function(item) for item in given]
-    with ThreadPoolExecutor(min(usable_cores(), _MOST_THREADS)) as pool:
-        return list(pool.map(function, given))
-
-
 @contextmanager
-def background_thread() -> Iterator[SubmitWork]:
-    """Start a thread with the first work, which is not waited for if the block raises.
+def background_threads(count: int = 1) -> Iterator[SubmitWork]:
+    """Start threads with the work submitted, which is not waited for if the block raises.
 
-    For functions that release Python's lock and write no files.
+    For functions that release Python's lock, as arithmetic on arrays does, and write no files.
     """
-    pool = ThreadPoolExecutor(1)
+    pool = ThreadPoolExecutor(count)
     try:
         yield pool.submit
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()
+
+
+def map_threads(function: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
+    """Return a function of each item, computed on the usable cores, at most `_MOST_THREADS`.
+
+    Items must not depend on the number of cores, as results would in their rounding.
+    """
+    given = list(items)
+    if len(given) < 2:
+        return [function(item) for item in given]
+    with background_threads(min(usable_cores(), _MOST_THREADS)) as submit:
+        return [work.result() for work in [submit(function, item) for item in given]]
 
 
 @contextmanager

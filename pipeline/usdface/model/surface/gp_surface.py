@@ -8,7 +8,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks, nearest_distances
 from usdface.core.errors import InputError
-from usdface.core.processes import background_thread
+from usdface.core.processes import background_threads
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
     BLENDS_TRIED,
@@ -133,7 +133,7 @@ class GpSurface(SurfaceModel):
         self, moved: FloatArray, measured: BoolArray, size: int
     ) -> Iterator[SurfaceMotion]:
         # The next block is sampled while this one is predicted.
-        with background_thread() as submit:
+        with background_threads() as submit:
             sampled = submit(self._sample, moved[:_SAMPLED_FRAMES])
             for rows in frame_blocks(len(moved), frames=_SAMPLED_FRAMES):
                 theta = sampled.result()

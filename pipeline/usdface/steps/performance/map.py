@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import tee
@@ -13,7 +13,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError, as_input_error
-from usdface.core.processes import usable_cores
+from usdface.core.processes import background_threads, usable_cores
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path, weights_path
@@ -73,10 +73,10 @@ def predict_pipelined(
         )
 
     workers = min(MAX_WORKERS, usable_cores())
-    with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="predict") as pool:
+    with background_threads(workers) as submit:
         pending: deque[Future[Prediction]] = deque()
         for source in sources:
-            pending.append(pool.submit(predict, source))
+            pending.append(submit(predict, source))
             if len(pending) >= workers + QUEUE_DEPTH:
                 yield pending.popleft().result()
         while pending:

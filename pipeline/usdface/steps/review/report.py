@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import ByteImage
 from usdface.core.assets import Video
 from usdface.core.errors import InputError
-from usdface.core.processes import background_thread
+from usdface.core.processes import background_threads
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import write_text
@@ -120,7 +120,7 @@ def _page(
     notes += [*view.notes(clock.first_frame), *rig.undrawn_notes()]
     shares = None if shot.motion is None else shot.motion.shares
     first, more_notes = view.at(clock.first_frame, still=True), list[str]()
-    with background_thread() as submit:  # codecs release the interpreter lock
+    with background_threads() as submit:  # codecs release the interpreter lock
         face = submit(pack_face, rig, camera=first, shares=shares, parts=parts)
         covered = submit(show_coverage, spec, shot, more_notes)
         movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.97))

@@ -10,7 +10,7 @@ from threading import Event
 
 import numpy as np
 
-from usdface.core.processes import background_thread, usable_cores
+from usdface.core.processes import background_threads, usable_cores
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
@@ -70,7 +70,7 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress) -> StepR
     shots = open_shots(spec)
     with ExitStack() as open_files:
         cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
-        submit = open_files.enter_context(background_thread())
+        submit = open_files.enter_context(background_threads())
         opening = submit(_open_pictures, spec, shots, cameras)
         comparison = compare_shots(spec, shots, progress)
         pictures = opening.result()
