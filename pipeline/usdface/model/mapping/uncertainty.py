@@ -19,9 +19,11 @@ variance of the forward model (decision 60). ``d_g^2`` is the mean squared resid
 first two. With ``a`` the motion of the rig over that of the performer, the standard deviation
 is ::
 
-    sigma_g = c_g sqrt(min(v_g (1 + chi2_g), max(v_g, tr(G_g V))) + (a d_g)^2),  v_g = tr(G_g D C D)
+    sigma_g = c_g sqrt(min(v_g (1 + chi2_g), max(v_g, tr(G_g V))) + (a d_g)^2 / 2)
 
-``V``: prior variance of bent weights far from the references, which bounds the effect of chi2.
+``v_g``: tr(G_g D C D). ``V``: prior variance of bent weights far from the references, which bounds
+the effect of chi2. The excess counts half, since markers that lie elsewhere on the skin than those
+of the references have one without an error of the surface.
 
 ``c_g`` is calibrated on out-of-fold errors of the references, in folds blocked by take and time,
 such that 90 % are within 1.645 sigma, as for a normal distribution. As few errors determine a
@@ -84,10 +86,14 @@ _PREDICTED_SHARE = 0.5
 """Share of the forward model's predictive variance that residuals are expected to have: weights
 follow the rest. Chosen among 0, 1/4, 1/2 and 1 (decision 60)."""
 
-_LEAST_KEY_ERROR = 0.05
+_UNEXPLAINED_SHARE = 0.5
+"""Share of the excess ``(a d)^2`` that is an error of the surface. Chosen among 0, .3, .5 and 1
+(decision 61)."""
+
+_LEAST_KEY_ERROR = 0.06
 """Smallest relative error of the keys of one shape: animators set weights in such steps. Residuals
 hardly show it where few pairs have the shape. Chosen on set-ups 0 to 39 of `poe bench
-random_setups`; set-ups 40 to 99 and `poe bench confidence` validate it."""
+random_setups` (decision 51) and on the performers of `poe bench confidence` (decision 61)."""
 
 _PROPOSAL_ERROR = 0.25
 """Prior of rho, error of proposals relative to the motion. Chosen on the performers of `poe bench
@@ -176,7 +182,7 @@ class UncertaintyModel:
         _, _, spread2, _ = solver.limiting_posteriors
         unknown = np.einsum("rss->rs", self.grams) @ spread2
         squared = np.minimum(squared * (1 + chi2), np.maximum(squared, unknown))
-        squared += self.motion_scale**2 * excess2
+        squared += _UNEXPLAINED_SHARE * self.motion_scale**2 * excess2
         return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
     def _interpolated_variance(self, solver: FrameSolver, solution: FrameSolution) -> FloatArray:
