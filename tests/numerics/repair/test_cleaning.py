@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.numerics.simulated_face import SimulatedFace, hold_head, simulate_face
 from usdface.capture.sniff import read_capture
@@ -292,6 +293,20 @@ def test_the_face_tells_the_pose_where_too_few_rigid_markers_are_seen():
     confidence = cleaned.pose_confidence
     assert (confidence[~hidden] == 1).all()
     assert ((0.9 < confidence[hidden]) & (confidence[hidden] < 1)).all()
+
+
+def test_a_head_that_turns_after_its_rigid_markers_are_covered_has_lost_no_marker():
+    face = simulate_face(frames=600, noise=0.1)
+    angle = np.linspace(0.0, np.radians(80), 120)
+    turn = Rotation.from_rotvec(angle[:, None] * [0.0, 1.0, 0.0]).as_matrix()
+    centre = face.captured[480:].mean(axis=1, keepdims=True)
+    face.captured[480:] = (face.captured[480:] - centre) @ turn.swapaxes(1, 2) + centre
+    face.visible[480:, list(face.rigid)[2:]] = False
+    cleaned = clean(face)
+    assert not cleaned.lost.any()
+    assert not cleaned.swaps
+    away = errors_mm(cleaned.positions, face.truth)
+    assert away[480:].mean() < 0.5  # 30 with all of them lost
 
 
 def test_a_pose_by_an_unknown_expression_is_known_to_be_uncertain():

@@ -11,9 +11,11 @@ from usdface.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
+    IntArray,
     distances,
     frame_blocks,
     hold_last_seen,
+    median_places,
     medians_where,
     sample_frames,
 )
@@ -28,7 +30,12 @@ from usdface.numerics.repair.outliers import USUAL_RATE, find_lost, find_outlier
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps, jumps_onto_lost
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
-from usdface.numerics.rigid.rigid_alignment import align_rigid, alignment_of, remove_motion
+from usdface.numerics.rigid.rigid_alignment import (
+    align_rigid,
+    align_rigid_robust,
+    alignment_of,
+    remove_motion,
+)
 from usdface.numerics.rigid.stabilization import stabilize, stabilize_by_prior
 
 _RELABEL_ROUNDS = 4
@@ -246,12 +253,32 @@ def _stabilize_without_lost(
 ) -> tuple[_StabilizedTake, BoolArray]:
     """Return the take and the samples of markers that left the face, cleared in `seen`."""
     take = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
+    rows = np.flatnonzero(~take.measured)
+    interpolated = take.positions[rows]
+    take.positions[rows] = _aligned_with_measured(take, rows)
     lost = find_lost(take.positions, seen, neutral=neutral)
+    take.positions[rows] = interpolated
     seen &= ~lost
     if lost[:, rigid].any():  # it pulled the head's pose
         del take  # first, to save the memory of one copy of a long take
         take = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
     return take, lost
+
+
+def _aligned_with_measured(take: _StabilizedTake, rows: IntArray) -> Float32Array:
+    """Return the markers of frames, aligned with the median face of frames with a measured pose.
+
+    Interpolated poses may be far off, as if all markers had left the face.
+    """
+    positions, known = take.positions[rows], np.flatnonzero(take.measured)
+    if not len(rows):
+        return positions
+    known = known[sample_frames(len(known), _POSE_SAMPLE_FRAMES)]
+    shown = np.flatnonzero(take.visible[known].any(axis=0))
+    face = median_places(take.positions[known][:, shown], take.visible[known][:, shown])
+    alignment = align_rigid_robust(positions[:, shown], face, visible=take.visible[rows][:, shown])
+    aligned = remove_motion(positions, alignment).astype(np.float32)
+    return np.where(alignment.determined[:, None, None], aligned, positions)
 
 
 def _model_face(take: _StabilizedTake) -> tuple[LowRankModel, int, FloatArray]:
