@@ -132,6 +132,14 @@ def test_shapes_with_foreign_names_are_known_by_what_they_do(demo) -> None:
     assert "brow_inner_L" not in found
 
 
+def test_a_jaw_with_a_foreign_name_is_known_among_named_shapes_of_the_mouth(demo) -> None:
+    rig, skin = demo
+    foreign = {"jawOpen": "mnd_abr", "eyeBlinkLeft": "parp_c_L", "eyeBlinkRight": "parp_c_R"}
+    found = find_landmarks(skin, tuple(foreign.get(name, name) for name in rig.shapes))
+    for name, place in find_landmarks(skin, rig.shapes).items():
+        np.testing.assert_allclose(found[name], place, atol=1e-9, err_msg=name)
+
+
 def test_an_eye_of_a_coarse_lid_is_found(demo) -> None:
     rig, skin = demo
     column, deltas = rig.shapes.index("eyeBlinkRight"), skin.deltas.copy()

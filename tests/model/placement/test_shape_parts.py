@@ -11,6 +11,7 @@ from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.numerics.measure.face_regions import (
+    REGIONS,
     gaze_shapes,
     jaw_opener,
     points_by_region,
@@ -102,3 +103,15 @@ def test_where_no_eyes_and_mouth_are_found_names_stay_and_a_note_says_what_is_mi
     assert missing_parts_note(("browUp", "lids", "nose", "jawOpen")).startswith(
         "no shape of this rig is known to move the mouth:"
     )
+
+
+def test_action_units_need_no_landmarks() -> None:
+    units = ("AU1_L", "AU45_R", "AU9_L", "AU12_R", "AU26")
+    rig = demo_rig()
+    others = tuple(f"Form_{index}" for index in range(len(rig.shapes) - len(units)))
+    still = replace(
+        rig, meshes=tuple(replace(mesh, shapes=()) for mesh in rig.meshes)
+    )  # nothing shows eyes or a mouth
+    parts = shape_parts(with_names(still, units + others), Deformer(still))
+    assert [region_of_shape(part) for part in parts[: len(units)]] == list(REGIONS)
+    assert parts[len(units) :] == others

@@ -110,9 +110,10 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
     """
     moved = _displacements(skin, shapes)
     if not {("eyeblink", "L"), ("eyeblink", "R"), _JAW} <= moved.keys():
-        recognised = recognise_shapes(skin)
-        if _PUCKER in moved:  # the names of the mouth are known, so its jaw is a joint
-            recognised.pop(_JAW, None)
+        jaw = _jaw_row(skin)
+        recognised = {} if jaw is None else recognise_shapes(skin, jaw)
+        if jaw is not None and _PUCKER in moved and read_meanings(shapes)[shapes[jaw]].understood:
+            recognised.pop(_JAW, None)  # a named shape of the mouth: the jaw is a joint
         moved = recognised | moved
     found: dict[str, FloatArray] = {}
     for side, sign in _SIDES:
@@ -292,26 +293,31 @@ def _mirrored(skin: FaceSkin, found: dict[str, FloatArray]) -> dict[str, FloatAr
     return out
 
 
-def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
-    """Return blinks and the opening jaw among shapes with foreign names, by their displacements.
-
-    Of downward shapes, the jaw is the symmetric one of the most energy. A blink is the one with
-    the largest displacement among those as small as a lid, on each side, outside the jaw's region.
-
-    Returns (samples, 3) arrays under keys as of `motion_and_side`, ``('eyeblink', 'L')``,
-    ``('jawopen', '')``; none without a jaw and two blinks that mirror each other.
-    """
+def _jaw_row(skin: FaceSkin) -> int | None:
+    """Return the shape that opens the jaw: of downward ones, the symmetric one of most energy."""
     side = np.sign(skin.positions[:, 0] - skin.sagittal_x)
     jaw, largest = None, 0.0
-    for delta in skin.deltas:
+    for row, delta in enumerate(skin.deltas):
         if not _falls(delta, _LEAST_JAW_FALL):
             continue
         energy = (delta**2).sum(axis=1) * skin.areas
         alike = abs(energy @ side) < _ALIKE_SHARE * energy.sum()
         if alike and energy.sum() > largest and _spread(skin, energy)[1] > _JAW_RADIUS:
-            jaw, largest = delta, float(energy.sum())
-    if jaw is None:
-        return {}
+            jaw, largest = row, float(energy.sum())
+    return jaw
+
+
+def recognise_shapes(skin: FaceSkin, jaw_row: int) -> dict[tuple[str, str], FloatArray]:
+    """Return blinks and the opening jaw among shapes with foreign names, by their displacements.
+
+    A blink is the downward shape with the largest displacement among those as small as a lid, on
+    each side, outside the jaw's region.
+
+    Returns (samples, 3) arrays under keys as of `motion_and_side`, ``('eyeblink', 'L')``,
+    ``('jawopen', '')``; none without two blinks that mirror each other.
+    """
+    side = np.sign(skin.positions[:, 0] - skin.sagittal_x)
+    jaw = skin.deltas[jaw_row]
     still = np.linalg.norm(jaw, axis=1) < _STILL_SHARE * np.linalg.norm(jaw, axis=1).max()
     falling = [delta for delta in skin.deltas if _falls(delta, _LEAST_FALL)]
     blinks, centres = {}, {}

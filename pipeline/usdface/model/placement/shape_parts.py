@@ -104,11 +104,11 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
 
 
 def _read_by_vocabulary(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Replace names by their motions where these are of another region."""
+    """Replace names by their motions where these are of another region, or the name tells none."""
     read = list(names)
     for index, (name, meaning) in enumerate(zip(names, read_meanings(names).values(), strict=True)):
         named, meant = region_of_shape(name), region_of_shape(meaning.motion)
-        if meaning.understood and named and meant and named != meant:
+        if meaning.understood and meant and named != meant:
             read[index] = meaning.motion
     return tuple(read)
 
