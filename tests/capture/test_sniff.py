@@ -1,5 +1,6 @@
 """What is no capture says what to do with it."""
 
+import shlex
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,12 @@ def test_ingest_without_a_capture_says_what_to_do(
     assert stopped.value.code == 2
     assert message in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "a.take.usda").exists()
+
+
+def test_a_proposed_command_can_be_pasted_though_a_name_has_spaces(tmp_path: Path) -> None:
+    movie = tmp_path / "día 2 kitchen.mov"
+    movie.write_bytes(b"moov")
+    with pytest.raises(InputError) as refused:
+        recognise_format(movie)
+    command = str(refused.value).split("`")[1]
+    assert shlex.split(command)[2:] == [movie.name, "--out", "día 2 kitchen.take.usda"]

@@ -20,6 +20,7 @@ from usdface.capture.weight_samples import is_weight_csv, is_weight_json, is_wei
 from usdface.capture.weight_table import read_weight_take
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
+from usdface.core.text import shell_word
 
 _HEAD_BYTES = 64 << 10
 VIDEO_SUFFIXES = (".mov", ".mp4", ".mxf", ".mkv", ".avi", ".webm", ".m4v")
@@ -30,7 +31,7 @@ _EXPORTS = dict.fromkeys(
 ) | dict.fromkeys(
     VIDEO_SUFFIXES,
     "is a movie, which holds no markers: track the face in it with `usdface track {name} --out "
-    "{stem}.take.usda`, or ingest the capture that it was filmed with, and the movie as --video",
+    "{take}`, or ingest the capture that it was filmed with, and the movie as --video",
 )
 """What to do with files that are often tried, by how their names end."""
 
@@ -135,7 +136,8 @@ def recognise_format(path: Path) -> CaptureFormat:
         head = file.read(_HEAD_BYTES)
     advice = _EXPORTS.get(path.suffix.lower())
     if advice is not None:
-        raise InputError(f"{path} {advice.format(name=path.name, stem=path.stem)}")
+        name, take = shell_word(path.name), shell_word(f"{path.stem}.take.usda")
+        raise InputError(f"{path} {advice.format(name=name, take=take)}")
     if path.name.lower().endswith("frame_log.csv"):
         raise InputError(f"{path} {_FRAME_LOG}")
     if not head:

@@ -18,6 +18,7 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.side_files import open_side_file, side_stream
 from usdface.core.sidecars import journal_path, lock_path
+from usdface.core.text import shell_word
 from usdface.core.write_lock import is_running
 
 STALE_SECONDS = 60.0
@@ -209,6 +210,6 @@ def check_nothing_unsaved(references: Path) -> None:
     if journal.is_file() and journal.stat().st_size:
         raise InputError(
             f"{journal}: holds changes of a tuning page that was killed, which are not in the "
-            f"tuned layer yet. Start `usdface tune {references.name}` once, which takes them in, "
-            "close it with Ctrl+C, and do this again; or write to another --out"
+            f"tuned layer yet. Start `usdface tune {shell_word(references.name)}` once, which "
+            "takes them in, close it with Ctrl+C, and do this again; or write to another --out"
         )

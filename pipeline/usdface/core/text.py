@@ -1,6 +1,7 @@
 """Numbers and lists in messages; text and JSON files."""
 
 import json
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -8,6 +9,11 @@ from typing import Any
 
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
+
+
+def shell_word(path: object) -> str:
+    """Return a path as it is typed in a shell, quoted if it has spaces."""
+    return shlex.quote(str(path))
 
 
 def pluralize(count: int, noun: str) -> str:

@@ -10,6 +10,7 @@ from usdface.core.arrays import columns_by_name
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, shape_controls
 from usdface.core.progress import Progress, part, silent
+from usdface.core.text import shell_word
 from usdface.demo import DOG_JOB_NAME
 from usdface.demo.acting import performance
 from usdface.demo.dog import act, expressions, write_dog
@@ -68,7 +69,7 @@ def run_dog_demo(
         (
             f"look at {folder / 'talk.faces.jpg'}, {folder / 'talk.cyclic.jpg'} and "
             f"{folder / 'talk.warp.jpg'}; open {folder / 'talk.warped.usda'} in a USD viewer",
-            f"change {job_file} and run it again: usdface run {job_file}",
+            f"change {job_file} and run it again: usdface run {shell_word(job_file)}",
         ),
         {"job": str(job_file), **trained.figures},
     )

@@ -10,6 +10,7 @@ from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
+from usdface.core.text import shell_word
 from usdface.demo import JOB_NAME
 from usdface.demo.build import (
     CLIP_SIZE,
@@ -84,7 +85,7 @@ def run_demo(
         (
             f"look at {folder / 'demo.sheet.jpg'}, open {folder / 'demo.report.html'} in a browser "
             f"and {folder / 'demo.character.usda'} in a USD viewer",
-            f"change {job_file} and run it again: usdface run {job_file}",
+            f"change {job_file} and run it again: usdface run {shell_word(job_file)}",
         ),
         {
             "surface_error_mm": float(np.mean(error)),

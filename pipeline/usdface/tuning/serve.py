@@ -14,6 +14,7 @@ import uvicorn
 
 from usdface.core.confinement import check_confined
 from usdface.core.errors import CancelledError, InputError
+from usdface.core.text import shell_word
 from usdface.specs.commands import TuneSpec
 from usdface.specs.notes import read_notes
 from usdface.tuning.application import Scene, build_application
@@ -113,7 +114,7 @@ def _first_pair(spec: TuneSpec, session: TuningSession) -> int:
     if spec.frame not in frames:
         raise InputError(
             f"{spec.references}: no pair is of frame {spec.frame}; add it with `usdface references "
-            f"add PERFORMANCE --references {spec.references} --frames {spec.frame}`"
+            f"add PERFORMANCE --references {shell_word(spec.references)} --frames {spec.frame}`"
         )
     return int(np.flatnonzero(frames == spec.frame)[0])
 

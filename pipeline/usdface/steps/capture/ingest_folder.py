@@ -8,7 +8,7 @@ from usdface.capture.sniff import VIDEO_SUFFIXES, read_capture, recognise_format
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.sidecars import is_usd_name
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, pluralize, shell_word
 from usdface.runner.execute import execute_each
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
@@ -115,8 +115,8 @@ def _bundles(folder: Path, only: str | None) -> list[Bundle]:
     if movies:
         raise InputError(
             f"{folder}: holds {pluralize(len(movies), 'movie')} and no capture: track the face in "
-            f"each, as with `usdface track {folder / movies[0]} --out "
-            f"{Path(movies[0]).stem}.take.usda` ({first_few(movies)})"
+            f"each, as with `usdface track {shell_word(folder / movies[0])} --out "
+            f"{shell_word(Path(movies[0]).stem + '.take.usda')}` ({first_few(movies)})"
         )
     raise InputError(
         f"{folder}: holds no file of a known capture format; name the folder that holds the "

@@ -9,6 +9,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
 from usdface.core.assets import Markers, References, Rig, Take
 from usdface.core.errors import InputError, as_input_error
+from usdface.core.text import shell_word
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head_space
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.model.mapping.take_neutral import TakeNeutral
@@ -183,7 +184,9 @@ def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
 def check_stabilized(path: Path, markers: Markers) -> None:
     """Refuse markers that still hold the head's motion."""
     if markers.space != "stabilized":
-        raise InputError(f"{path}: still holds head motion; run `usdface clean {path}` first")
+        raise InputError(
+            f"{path}: still holds head motion; run `usdface clean {shell_word(path)}` first"
+        )
 
 
 def check_neutral_frame(

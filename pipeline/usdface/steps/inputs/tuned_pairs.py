@@ -10,6 +10,7 @@ from usdface.core.arrays import IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
+from usdface.core.text import shell_word
 from usdface.model.selection.coverage import (
     ReferenceConflict,
     conflict_text,
@@ -71,8 +72,8 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
             [name for name in each.weights if name not in driven],
             source=f"{layer} pair {each.pair + 1}",
             remedy="it was tuned for another rig: give that rig, or select as before to another "
-            f"--out, and `usdface references import` its keys there: --weights {spec.out.name}, "
-            "and --names if shapes were renamed",
+            f"--out, and `usdface references import` its keys there: --weights "
+            f"{shell_word(spec.out.name)}, and --names if shapes were renamed",
         )
     return [
         PlacedPair(each.pair, row, each, each.pair in keyed)

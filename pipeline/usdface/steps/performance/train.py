@@ -13,7 +13,7 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination
 from usdface.core.sidecars import proposed_path
-from usdface.core.text import counted, first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize, shell_word
 from usdface.media.charts.eigenspace import draw_eigenspace
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.head_space import pose_error_note
@@ -327,7 +327,7 @@ def _proposals_note(spec: TrainSpec, tuned: int, pairs: int) -> str:
             f"an untuned start: all {pairs} pairs are proposals from the rig's geometry, so this "
             "mapping reproduces them with their errors, and its cross-validated error is the "
             "distance from proposals. Tune a dozen or two (`usdface tune "
-            f"{spec.references}`), then train again"
+            f"{shell_word(spec.references)}`), then train again"
         )
     proposals = pluralize(pairs - tuned, "untuned proposal")
     if tuned >= _ENOUGH_TUNED and not spec.all_pairs:

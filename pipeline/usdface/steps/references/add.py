@@ -7,7 +7,7 @@ from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, pluralize, shell_word
 from usdface.runner.result import StepResult
 from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_list, frame_range
@@ -57,7 +57,8 @@ def run(spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress) 
     return StepResult(
         files,
         f"{pluralize(len(added), 'frame')} added to {pluralize(len(old.frames), 'pair')}; tune "
-        f"{'it' if len(added) == 1 else 'them'} with `usdface tune {spec.out} --frame {added[0]}`",
+        f"{'it' if len(added) == 1 else 'them'} with `usdface tune {shell_word(spec.out)} "
+        f"--frame {added[0]}`",
         tuple(notes),
         {"added": len(added), "pairs": len(references.frames), "frames": added},
     )

@@ -13,7 +13,7 @@ from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import binding_layers, placement_path, reference_layers, tuned_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, pluralize, shell_word
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.performer_face import face_of_mapping
 from usdface.model.mapping.predict import predict_weights
@@ -154,7 +154,8 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
         (
             *found.notes,
             *images.notes,
-            f"next: `usdface tune {spec.out}`; then `usdface train-retarget` with --references",
+            f"next: `usdface tune {shell_word(spec.out)}`; then `usdface train-retarget` with "
+            "--references",
         ),
         _figures(references, found.kept, images),
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.text import counted, first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize, shell_word
 from usdface.model.selection.design import ReferenceChoice
 from usdface.model.selection.neutral_check import find_better_neutral
 from usdface.specs.references import SelectSpec
@@ -90,6 +90,6 @@ def next_step(out: Path, count: int, kept: int) -> list[str]:
         return [f"next: tune some of the {pluralize(rest, 'proposal')}, then `usdface train`"]
     return [
         "an untuned start: all weights are proposals from the rig's geometry. Next: `usdface tune "
-        f"{out}`; tune the first dozen or two (pairs are in order of their gain in coverage), then "
-        "`usdface train`, which leaves out the rest"
+        f"{shell_word(out)}`; tune the first dozen or two (pairs are in order of their gain in "
+        "coverage), then `usdface train`, which leaves out the rest"
     ]
