@@ -148,6 +148,20 @@ def test_an_eye_of_a_coarse_lid_is_found(demo) -> None:
     assert "eye_inner_R" in find_landmarks(replace(skin, deltas=deltas), rig.shapes)
 
 
+def test_a_corner_of_an_eye_far_from_the_other_samples_is_found(demo) -> None:
+    rig, skin = demo
+    column, deltas = rig.shapes.index("eyeBlinkLeft"), skin.deltas.copy()
+    lid = np.argsort(np.linalg.norm(deltas[column], axis=1))[-45:]
+    deltas[column] = 0.0
+    deltas[column, lid, 1] = -9.0
+    positions = skin.positions.copy()
+    positions[lid, 1] = positions[lid, 1].mean()
+    outermost = lid[positions[lid, 0].argmax()]
+    positions[outermost, 0] += 25.0
+    found = find_landmarks(replace(skin, deltas=deltas, positions=positions), rig.shapes)
+    assert all(np.isfinite(place).all() for place in found.values())
+
+
 @pytest.mark.parametrize("head", ["demo", "actor", "facecap_head", "ict_face"])
 def test_a_mouth_whose_jaw_is_a_joint_is_found_from_its_lips(request, head: str) -> None:
     if head in ("demo", "actor"):

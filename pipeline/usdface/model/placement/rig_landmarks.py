@@ -186,8 +186,8 @@ def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str,
         return {}
     found = {f"lid_upper_{side}": upper, f"lid_lower_{side}": lower}
     for name, quantile in (("eye_inner", 0.02), ("eye_outer", 0.98)):
-        edge = float(np.quantile(out[beside], quantile))
-        near = beside & (abs(out - edge) < 3)
+        edge = float(np.quantile(out[beside], quantile))  # between samples, maybe far from both
+        near = beside & (abs(out - edge) <= max(3.0, abs(out[beside] - edge).min()))
         found[f"{name}_{side}"] = np.array(
             [skin.sagittal_x + sign * edge, *np.median(at[near][:, 1:], axis=0)]
         )
