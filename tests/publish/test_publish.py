@@ -292,7 +292,9 @@ def test_a_version_and_a_package_play_the_joints_that_the_performance_plays(
         assert played.GetTimeSamples() == wanted.GetTimeSamples()
 
 
-def test_a_version_turns_the_head_as_the_performance_does(shot: Shot, tmp_path: Path) -> None:
+def test_a_version_turns_the_head_as_the_performance_does(
+    shot: Shot, tmp_path: Path, caplog
+) -> None:
     hero = shot / "shot.hero.usda"
     execute(
         MapSpec(
@@ -306,6 +308,7 @@ def test_a_version_turns_the_head_as_the_performance_does(shot: Shot, tmp_path: 
     )
     published = publish(shot, tmp_path)
     assert published.files["head"].name == "shot.hero.head.usdc"
+    assert "only weights" not in caplog.text
     readers = [PerformanceReader(each) for each in (hero, published.files["performance"])]
     wanted, got = (UsdSkel.Animation(each.animation).GetTransforms(100) for each in readers)
     assert wanted

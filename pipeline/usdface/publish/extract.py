@@ -19,6 +19,7 @@ from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance
 from usdface.specs.edits import BakeSpec
 from usdface.specs.review import MovieSpec, SheetSpec
+from usdface.steps.edits.bake import driving_notes
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.write import writing_top
 from usdface.usdio.rig.reference import read_rig_of_stage, replaced_motion_notes
@@ -128,7 +129,8 @@ def _extract(
         baked = execute(bake, progress=part(progress, 0.0, 0.3))
     published = PerformanceReader(opened)
     replaced = replaced_motion_notes(published.stage, published.animation)
-    for note in (*baked.notes, *replaced):
+    held = driving_notes(item.performance)  # of layers that a version holds as well
+    for note in (*(each for each in baked.notes if each not in held), *replaced):
         log.warning("%s: %s", opened.name, note)
     files = {"performance": opened.name, "weights": bake.out.name}
     driving = {"head": head_path(opened), "controls": controls_path(opened)}

@@ -47,7 +47,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             writer.append(weights, reader.figures(first, last), keys=keys)
             done = last - reader.first_frame + 1
             progress(done / header.frame_count, f"baked to frame {last}")
-    notes = [*_left_out(reader), *_driving_notes(spec.performance)]
+    notes = [*_left_out(reader), *driving_notes(spec.performance)]
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(
@@ -65,7 +65,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     )
 
 
-def _driving_notes(performance: Path) -> list[str]:
+def driving_notes(performance: Path) -> list[str]:
     """Return notes on the layers of joints and attributes, which a layer of weights lacks."""
     layers = (head_path(performance), controls_path(performance))
     return [
