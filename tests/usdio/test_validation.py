@@ -137,6 +137,19 @@ def test_shapes_that_no_mesh_has_are_named(tmp_path: Path) -> None:
     assert "2 shapes are on no mesh: blink, jaw" in only(path, "Names").message
 
 
+def test_a_mesh_below_a_group_without_a_type_does_not_move(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def regroup(layer: Sdf.Layer) -> None:
+        group = Sdf.PrimSpec(layer.GetPrimAtPath("/Hero"), "more", Sdf.SpecifierDef)
+        Sdf.CopySpec(layer, "/Hero/geo/skin", layer, group.path.AppendChild("skin"))
+
+    change(tmp_path / "rig.usda", regroup)
+    found = only(path, "Names")
+    assert (found.severity, found.where.split()[-1]) == ("error", "</Hero/more/skin>")
+    assert "as </Hero/more> above it has no type; make that prim an Xform" in found.message
+
+
 def test_an_animation_that_nobody_follows_is_orphaned(tmp_path: Path) -> None:
     path = write(tmp_path)
 

@@ -196,6 +196,10 @@ def edit_unbound(stage: Usd.Stage) -> None:
             prim.RemoveProperty("skel:skeleton")
 
 
+def edit_group_without_type(stage: Usd.Stage) -> None:
+    stage.GetPrimAtPath("/Hero/geo").SetTypeName("")
+
+
 def edit_no_root(stage: Usd.Stage) -> None:
     stage.GetPrimAtPath("/Hero").SetTypeName("Xform")
 
@@ -228,6 +232,7 @@ def edit_shape_beside(stage: Usd.Stage) -> None:
         (edit_unbound, r"no skel:skeleton; UsdSkel animates them only through a Skeleton"),
         (edit_skeleton_beside, r"</skeleton>: moves </Hero> and lies outside </Hero>"),
         (edit_shape_beside, r"</smile>: moves </Hero> and lies outside </Hero>"),
+        (edit_group_without_type, r"geo/\w+>: USD does not animate it, as </Hero/geo> .* no type"),
         (edit_no_root, r"has BlendShapes but no SkelRoot above it"),
         (edit_faces, r"</Hero/geo/skin>: its faces name points that are not there"),
     ],

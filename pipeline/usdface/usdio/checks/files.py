@@ -14,6 +14,7 @@ from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
 from usdface.usdio.referenced_files import lost_targets
 from usdface.usdio.retarget.controls import attribute_names, attribute_path
+from usdface.usdio.rig.mesh import still_meshes
 
 CLEAR_SHARE = 0.2
 """[of the whole displacement] Least difference between the sides of a one-sided shape."""
@@ -43,6 +44,7 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
             f"{len(missing)} shapes are on no mesh: {first_few(missing)}; is it this rig's "
             "animation? Map again for the rig, or rename the shapes",
         )
+    yield from _still(prim)
     skipped = _skipped_shapes(prim, set(names)) if is_solved(prim) and not missing else {}
     if skipped:
         mesh, shapes = next(iter(skipped.items()))
@@ -91,6 +93,21 @@ def _moves(prim: Usd.Prim) -> bool:
     return any(len({str(each.Get(time)) for time in times}) > 1 for each in others if each)
 
 
+def _still(animation: Usd.Prim) -> Iterator[Fault]:
+    """Find meshes with BlendShapes that should follow an animation and that USD does not move."""
+    stage = animation.GetStage()
+    for root in filter(UsdSkel.Root, stage.Traverse(Usd.TraverseInstanceProxies())):
+        for path, reason in still_meshes(UsdSkel.Root(root)).items():
+            if _follows(UsdSkel.BindingAPI(stage.GetPrimAtPath(path)), animation):
+                yield Fault.error(path, reason)
+
+
+def _follows(mesh: UsdSkel.BindingAPI, animation: Usd.Prim) -> bool:
+    skeleton = mesh.GetInheritedSkeleton()
+    source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource() if skeleton else None
+    return bool(source) and source.GetPath() == animation.GetPath()
+
+
 def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]]:
     """Return the shapes of each animated mesh that the animation does not name."""
     skipped: dict[str, list[str]] = {}
@@ -99,9 +116,7 @@ def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]
         shapes = names_in(binding.GetBlendShapesAttr())
         if not names.intersection(shapes) or names.issuperset(shapes):
             continue
-        skeleton = binding.GetInheritedSkeleton()
-        source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource() if skeleton else None
-        if source and source.GetPath() == animation.GetPath():
+        if _follows(binding, animation):
             skipped[prim.GetName()] = [shape for shape in shapes if shape not in names]
     return skipped
 

@@ -64,6 +64,33 @@ def skel_bindings(
     }
 
 
+def still_meshes(root: UsdSkel.Root) -> dict[str, str]:
+    """Return why USD does not animate a mesh with BlendShapes below a SkelRoot, by its path."""
+    moved = skel_bindings(UsdSkel.Cache(), root)
+    return {
+        str(mesh.GetPath()): _why_still(mesh)
+        for mesh in prims_below(root.GetPrim(), UsdGeom.Mesh)
+        if UsdSkel.BindingAPI(mesh).GetBlendShapesAttr().Get()
+        and UsdSkel.BindingAPI(mesh).GetInheritedSkeleton()
+        and str(mesh.GetPath()) not in moved
+    }
+
+
+def _why_still(mesh: Usd.Prim) -> str:
+    above = mesh.GetParent()
+    while above and above.IsA(UsdGeom.Imageable):
+        above = above.GetParent()
+    if above and not above.IsPseudoRoot():
+        kind = f"type {above.GetTypeName()}" if above.GetTypeName() else "no type"
+        return (
+            f"USD does not animate it, as <{above.GetPath()}> above it has {kind}; "
+            "make that prim an Xform or a Scope"
+        )
+    if not mesh.HasAPI(UsdSkel.BindingAPI):
+        return "USD does not animate it, as it lacks the schema SkelBindingAPI; apply it"
+    return "UsdSkel does not bind it to its skeleton, so that it stays still; correct the binding"
+
+
 class RestPose:
     """The skeletons of a SkelRoot at rest; meshes without one have only their transforms."""
 

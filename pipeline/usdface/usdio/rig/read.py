@@ -15,7 +15,13 @@ from usdface.core.rig_logic import Combination, CombinationMode, order_combinati
 from usdface.usdio.authoring import names_in, prim_or_root, prims_below, text_of, top_path, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_face_colors
-from usdface.usdio.rig.mesh import PlacedMesh, RestPose, authored_normals, read_geometry
+from usdface.usdio.rig.mesh import (
+    PlacedMesh,
+    RestPose,
+    authored_normals,
+    read_geometry,
+    still_meshes,
+)
 from usdface.usdio.units import stage_to_ours
 
 RANGE_ATTRIBUTE = "face:range"
@@ -189,6 +195,7 @@ def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
             "animates them only through a Skeleton: bind the meshes to one, a single joint will do"
         )
     _check_below_top(face, path)
+    _check_moves(face, path)
     return face
 
 
@@ -204,6 +211,18 @@ def _check_below_top(face: Usd.Prim, path: Path) -> None:
             f"{path} <{outside[0]}>: moves <{face.GetPath()}> and lies outside <{top}>, the prim "
             f"that performances reference: the face would not move in them; put it below <{top}>"
         )
+
+
+def _check_moves(face: Usd.Prim, path: Path) -> None:
+    """Refuse a face of which USD animates no mesh."""
+    still = still_meshes(UsdSkel.Root(face))
+    bound = filter(_has_shapes, prims_below(face, UsdGeom.Mesh))
+    if still and all(
+        str(mesh.GetPath()) in still or not UsdSkel.BindingAPI(mesh).GetInheritedSkeleton()
+        for mesh in bound
+    ):
+        mesh, reason = next(iter(still.items()))
+        raise InputError(f"{path} <{mesh}>: {reason}")
 
 
 def _has_shapes(prim: Usd.Prim) -> bool:
