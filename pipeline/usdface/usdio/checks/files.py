@@ -105,7 +105,7 @@ def _still(animation: Usd.Prim) -> Iterator[Fault]:
 def _follows(mesh: UsdSkel.BindingAPI, animation: Usd.Prim) -> bool:
     skeleton = mesh.GetInheritedSkeleton()
     source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource() if skeleton else None
-    return bool(source) and source.GetPath() == animation.GetPath()
+    return bool(source and source.GetPath() == animation.GetPath())
 
 
 def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]]:
