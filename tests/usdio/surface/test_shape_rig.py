@@ -10,7 +10,7 @@ from tests.small_scan import small_scan, write_scan
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.rig.mesh import read_face_mesh
+from usdface.usdio.rig.mesh import read_face_mesh, skel_bindings
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.surface.shape_rig import NewShape, shape_names, write_shape_rig
@@ -53,6 +53,22 @@ def test_of_a_rig_only_the_new_shapes_are_left(tmp_path: Path) -> None:
     stage = Usd.Stage.Open(str(tmp_path / "new.usda"))
     roots = [str(prim.GetPath()) for prim in stage.Traverse() if prim.IsA(UsdSkel.Root)]
     assert roots == ["/Face"]
+
+
+@pytest.mark.parametrize("group", ["/Hero", "/Hero/geo"])
+def test_a_mesh_below_a_group_without_a_type_moves_in_the_new_rig(
+    tmp_path: Path, group: str
+) -> None:
+    write_rig(tmp_path / "old.usda", small_rig())
+    scan = Usd.Stage.Open(str(tmp_path / "old.usda"))
+    scan.GetPrimAtPath(group).SetTypeName("")
+    scan.Save()
+    face = read_face_mesh(tmp_path / "old.usda", prim="/Hero/geo/skin")
+    moved = np.ones_like(face.mesh.points)
+    write_shape_rig(tmp_path / "new.usda", face, [shape("open", moved)], provenance=Provenance())
+    stage = Usd.Stage.Open(str(tmp_path / "new.usda"))
+    moving = skel_bindings(UsdSkel.Cache(), UsdSkel.Root(stage.GetPrimAtPath("/Face")))
+    assert "/Face/asset/geo/skin" in moving
 
 
 def test_names_are_made_valid_short_and_unique() -> None:

@@ -91,7 +91,7 @@ def write_shape_rig(
         )
         if Usd.ModelAPI(source.GetPrimAtPath(top)).GetKind():
             asset.SetInfo("kind", Kind.Tokens.subcomponent)  # it is now inside a component
-        _override_asset_rig(layer, source, top, root.AppendChild(ASSET))
+        _override_asset_rig(layer, source, face.path, root.AppendChild(ASSET))
         points = _bind_mesh(layer, face, mesh, root.AppendChild(SKELETON), source)
         to_mesh_space = np.linalg.inv(stage_to_ours(source) @ face.world[:3, :3])
         define_prim(layer, root.AppendChild(SHAPES), "Scope")
@@ -132,12 +132,16 @@ def _define_skeleton(layer: Sdf.Layer, path: Sdf.Path) -> None:
     apply_api(prim, "SkelBindingAPI")
 
 
-def _override_asset_rig(
-    layer: Sdf.Layer, source: Usd.Stage, top: Sdf.Path, place: Sdf.Path
-) -> None:
-    """Override the asset's SkelRoots and shapes, as a rig has one SkelRoot."""
+def _override_asset_rig(layer: Sdf.Layer, source: Usd.Stage, mesh: str, place: Sdf.Path) -> None:
+    """Override the asset's SkelRoots and shapes, as a rig has one SkelRoot.
+
+    Groups without a type above the mesh become Scopes: UsdSkel moves nothing below them.
+    """
+    top = top_path(mesh)
     for prim in Usd.PrimRange(source.GetPrimAtPath(top)):
         at = prim.GetPath().ReplacePrefix(top, place)
+        if Sdf.Path(mesh).HasPrefix(prim.GetPath()) and not prim.IsA(UsdGeom.Imageable):
+            Sdf.CreatePrimInLayer(layer, at).typeName = "Scope"
         if prim.IsA(UsdSkel.Root):
             Sdf.CreatePrimInLayer(layer, at).typeName = "Xform"
         if prim.IsA(UsdGeom.Mesh) and prim.GetAttribute("skel:blendShapes").HasAuthoredValue():
