@@ -78,6 +78,11 @@ def test_two_markers_with_each_others_label_are_named(performer: str) -> None:
         compare(other, performer=performer)
 
 
+def test_a_mirrored_take_is_called_so() -> None:
+    with pytest.raises(InputError, match="mirror image .*--mirrored axes"):
+        compare(performance(1) * [-1.0, 1.0, 1.0])
+
+
 def test_labels_of_two_lids_are_named_though_they_meet_in_blinks() -> None:
     """The offset is that of the frames that match: those in which the exchange is least."""
     near, far = 9, int(np.linalg.norm(NEUTRAL - NEUTRAL[9], axis=1).argmax())

@@ -16,6 +16,7 @@ from usdface.numerics.registration.marker_application import (
     measure_distances,
     measure_stretch,
 )
+from usdface.numerics.rigid.rigid_alignment import is_mirror_image
 
 NEUTRAL_TOLERANCE_MM = 1.5
 """Root mean square over markers of the expression in a neutral frame that is reported: half of a
@@ -231,7 +232,7 @@ def compare_neutral(
 def _check_labels(
     names: tuple[str, ...], neutral: FloatArray, positions: FloatArray, usable: BoolArray
 ) -> None:
-    """Refuse a take in which two markers lie at each other's place.
+    """Refuse a mirrored take, and one in which two markers lie at each other's place.
 
     Medians are compared, since frames of one expression are matched by the labels as they are.
     """
@@ -239,6 +240,11 @@ def _check_labels(
     hidden = np.where(usable[:, seen, None], positions[:, seen], np.nan)
     median = np.full_like(neutral, np.nan)
     median[seen] = np.nanmedian(hidden, axis=0)
+    if is_mirror_image(median[seen], neutral[seen]):
+        raise InputError(
+            "the take is the mirror image of those it is compared with; ingest it with --mirrored "
+            "axes, or with --mirrored labels if the names of left and right alone are exchanged"
+        )
     away = np.linalg.norm(median[:, None] - neutral, axis=2)
     apart = np.linalg.norm(neutral[:, None] - neutral, axis=2)
     near = (away < _EXCHANGED_SHARE * apart) & (apart > MAX_REAPPLIED_MM)

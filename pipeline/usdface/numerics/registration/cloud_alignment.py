@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from usdface.core.arrays import FloatArray, rms_radius
-from usdface.numerics.rigid.rigid_alignment import optimal_rotations
+from usdface.numerics.rigid.rigid_alignment import is_mirror_image, optimal_rotations
 
 _YAWS_DEGREES = range(0, 360, 30)
 _PITCHES_DEGREES = (-20, 0, 20)
@@ -89,12 +89,7 @@ def align_landmarks(cloud: FloatArray, targets: FloatArray) -> Alignment:
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= 0.02 * spread[0]:
             raise ValueError(f"the {where} lie on a line or coincide; give --landmarks off it")
-    cross = xc.T @ yc
-    s, sign = np.linalg.svd(cross, compute_uv=False), float(np.sign(np.linalg.det(cross)))
-    proper = s @ np.array([1, 1, sign])
-    total = float((xc**2).sum() * (yc**2).sum())
-    error, mirrored = 1 - proper**2 / total, 1 - s.sum() ** 2 / total
-    if sign < 0 and error > 0.01 and mirrored < 0.25 * error:
+    if is_mirror_image(cloud, targets):
         raise ValueError(
             "the landmarks fit only a mirrored face; check that left and right are not exchanged"
         )

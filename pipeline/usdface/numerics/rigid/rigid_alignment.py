@@ -283,3 +283,19 @@ def _decompose(B: FloatArray, rank_tolerance: float) -> tuple[FloatArray, BoolAr
     margin = singular[:, 1] + sign * singular[:, 2]  # 0: the rotation is not unique
     determined = margin > rank_tolerance * singular[:, 0]
     return np.where(determined[:, None, None], U @ Vt, np.eye(3)), determined
+
+
+def is_mirror_image(cloud: FloatArray, targets: FloatArray) -> bool:
+    """Whether points (n, 3) fit their targets only if they are reflected.
+
+    By similarities, whose squared error is less than a quarter of that without the reflection.
+    """
+    yc, xc = cloud - cloud.mean(axis=0), targets - targets.mean(axis=0)
+    cross = xc.T @ yc
+    s, sign = np.linalg.svd(cross, compute_uv=False), float(np.sign(np.linalg.det(cross)))
+    proper = s @ np.array([1, 1, sign])
+    total = float((xc**2).sum() * (yc**2).sum())
+    if not total:
+        return False
+    error, mirrored = 1 - proper**2 / total, 1 - s.sum() ** 2 / total
+    return bool(sign < 0 and error > 0.01 and mirrored < 0.25 * error)
