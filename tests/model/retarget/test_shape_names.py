@@ -37,6 +37,12 @@ from usdface.model.retarget.shape_vocabulary import ARKIT
         ("face_l_out_brow_up", ("browouterup", "L")),
         ("face_r_eyeBall_dn", ("eyelookdown", "R")),
         ("jaw_dn", ("jawopen", "")),
+        ("R_lidCls", ("eyeblink", "R")),
+        ("jawDrp", ("jawopen", "")),
+        ("chk_sqnt_lf", ("cheeksquint", "L")),
+        ("mthFrwn_R", ("mouthfrown", "R")),
+        ("L_bro_Dn", ("browdown", "L")),
+        ("mth_prs", ("mouthprs", "")),  # press, or purse
         ("l", ("l", "")),
         ("", ("", "")),
     ],

@@ -40,6 +40,9 @@ _GAZES = {"raise": "up", "down": "down", "in": "in", "inner": "in", "out": "out"
 _SHORTEST_GLUED = 5
 """Minimum number of letters of a word that is split into several, as in ``eyelookup``."""
 
+_SHORTEST_ABBREVIATION = 3
+"""Minimum number of consonants that stand for a word, as in ``lidCls``."""
+
 _SHARED_BY = 3
 """Minimum number of names that share a prefix."""
 
@@ -127,7 +130,8 @@ def _other_way(motion: str) -> str:
 
 def _words(name: str) -> list[str]:
     base = re.split(r"[:|/]", name)[-1] or name
-    return [part for word in _WORD.findall(base) for part in _split_glued(word.lower())]
+    parts = [part for word in _WORD.findall(base) for part in _split_glued(word.lower())]
+    return [part if part in FILLERS else _abbreviations().get(part, part) for part in parts]
 
 
 @functools.cache
@@ -155,6 +159,20 @@ def _lexicon() -> frozenset[str]:
     """Return all words of names."""
     words = {word for key in _phrases() for word in key} | set(WORDS.values())
     return frozenset(words | WORDS.keys() | ROWS.keys() | SIDE_WORDS.keys()) - {"a"}
+
+
+@functools.cache
+def _abbreviations() -> dict[str, str]:
+    """Return known words by their consonants, ``close`` by ``cls``; not if several have these."""
+    words: dict[str, set[str]] = {}
+    for word in _lexicon():
+        short = re.sub(r"(.)\1+", r"\1", word[0] + re.sub("[aeiou]", "", word[1:]))
+        words.setdefault(short, set()).add(WORDS.get(word, word))
+    return {
+        short: min(of)
+        for short, of in words.items()
+        if len(of) == 1 and len(short) >= _SHORTEST_ABBREVIATION and short not in _lexicon()
+    }
 
 
 @functools.lru_cache(maxsize=4096)

@@ -273,7 +273,7 @@ FILLERS = frozenset(
 WORDS = {
     **dict.fromkeys(("eyes", "eyeball", "eyeballs"), "eye"),
     **dict.fromkeys(("eyelid", "eyelids", "lids"), "lid"),
-    **dict.fromkeys(("eyebrow", "eyebrows", "brows", "brw"), "brow"),
+    **dict.fromkeys(("eyebrow", "eyebrows", "brows", "brw", "bro"), "brow"),
     **dict.fromkeys(("lip", "lips", "mth"), "mouth"),
     **dict.fromkeys(("corners",), "corner"),
     **dict.fromkeys(("dn", "dwn"), "down"),
