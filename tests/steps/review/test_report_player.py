@@ -101,6 +101,25 @@ def test_a_range_is_marked_and_looped(player: Any) -> None:
     assert player.inner_text("#range") == ""
 
 
+def test_errors_against_keys_of_few_frames_are_seen(
+    browser: Any, reported: Shot, tmp_path: Path
+) -> None:
+    """No two of these keys are neighbours, so that no line connects them."""
+    names, *rows = (reported / "keys.csv").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "few.csv").write_text("\n".join([names, *rows[::10]]), encoding="utf-8")
+    execute(spec_of(reported, against=tmp_path / "few.csv", out=tmp_path / "few.html", worst=1))
+    faults: list[str] = []
+    page = open_page(browser, tmp_path / "few.html", faults)
+    path = page.locator("#strips path.strip-error")
+    assert path.get_attribute("class") == "strip-error dots"
+    style = "e => [getComputedStyle(e).strokeLinecap, parseFloat(getComputedStyle(e).strokeWidth)]"
+    assert path.evaluate(style) == ["round", 4]
+    page.evaluate("report.show(5)")
+    page.locator("#live", has_text="error unknown, ").wait_for()
+    page.close()
+    assert not faults
+
+
 def test_the_shuttle_plays_back_rests_and_plays_faster(player: Any) -> None:
     player.evaluate("report.show(300)")
     player.keyboard.press("j")

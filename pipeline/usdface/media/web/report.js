@@ -295,7 +295,10 @@ class Report {
     history.replaceState(null, "", `#${frame}`);
     if (this.playing) return;
     const moment = data.worst.find(({ picture }) => picture === this.picture);
-    const figures = data.strips.map((strip) => `${strip.name} ${stripValue(strip, this.picture, "unknown")}${strip.unit === "%" ? "" : ` ${strip.unit}`}`);
+    const figures = data.strips.map((strip) => {
+      const value = stripValue(strip, this.picture, "unknown");
+      return `${strip.name} ${value}${strip.unit === "%" || value === "unknown" ? "" : ` ${strip.unit}`}`;
+    });
     announce([`frame ${frame}`, moment && `${moment.region} ${moment.reason}`, ...figures].filter(Boolean).join(", "));
   }
 

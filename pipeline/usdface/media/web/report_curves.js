@@ -36,6 +36,12 @@ function line(value, low, high, [from, to], fill = false) {
   return fill && path ? `${path}L${last} 1L${first} 1Z` : path;
 }
 
+/** Class of a line: dots if no two values are neighbours, as of keys. */
+function dotted(value) {
+  for (let i = 1; i < count; i++) if (value(i) !== null && value(i - 1) !== null) return "";
+  return " dots";
+}
+
 /** Emits `seek` (detail: picture) and `range` (detail: [first, last]) when a plot is dragged. */
 export class Curves extends EventTarget {
   constructor(curves) {
@@ -275,7 +281,8 @@ export class Curves extends EventTarget {
   #fillStrips() {
     for (const strip of data.strips) {
       const value = (i) => strip.values[i];
-      const lines = [true, false].map((fill) => ({ fill, value, path: node("path", { class: `${fill ? "fill " : ""}strip-${strip.name}` }) }));
+      const dots = dotted(value);
+      const lines = (dots ? [false] : [true, false]).map((fill) => ({ fill, value, path: node("path", { class: `${fill ? "fill " : ""}strip-${strip.name}${dots}` }) }));
       const plot = this.#plot(lines, strip.low, strip.high);
       const into = node("span", { class: "value" });
       const scale = strip.unit === "%" ? "0–100%" : `${strip.low.toFixed(0)}–${strip.high.toPrecision(2)} ${strip.unit}`;
@@ -336,10 +343,10 @@ export class Curves extends EventTarget {
         high = Math.max(high, values[i] / data.steps);
       }
     }
-    const lines = data.curves.map(({ kind }, index) => ({
-      value: (i) => this.weight(index, entry.shape, i),
-      path: node("path", { class: `k-${kind} c${index}` }),
-    }));
+    const lines = data.curves.map(({ kind }, index) => {
+      const value = (i) => this.weight(index, entry.shape, i);
+      return { value, path: node("path", { class: `k-${kind} c${index}${dotted(value)}` }) };
+    });
     entry.drawn = this.#plot(lines.reverse(), low, high); // the first on top
     const into = node("span", { class: "value" });
     entry.row.append(entry.drawn.box, into);
