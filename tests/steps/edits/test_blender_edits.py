@@ -130,7 +130,7 @@ def test_a_key_changed_on_the_face_alone_becomes_an_edit(tmp_path: Path, armatur
     meshes = curves_of()
     meshes["skin"]["jawOpen"][3:5] += np.float32(0.1)
     report = bring_back(path, exported(tmp_path, meshes, armature=armature))
-    assert report.summary == "2 of 10 frames differ from the performance, in 1 shape"
+    assert report.summary == "2 of 10 frames differ from the performance, in 1 shape: jawOpen"
     assert report.notes == ()
     wanted = SOLVED.copy()
     wanted[3:5, 0] += np.float32(0.1)

@@ -680,6 +680,7 @@ def test_bake_names_the_layer_of_joints_and_attributes(performed: Stall, capsys)
     assert "only weights are baked: beast.shot.controls.usdc" in capsys.readouterr().out
     assert usdface("edits", "import", "beast.shot.usda", "--changed", "baked.usdc") == 0
     assert "changes of joints and attributes are not imported" in capsys.readouterr().out
+    assert usdface("package", "beast.shot.usda", "--out", "beast.usdz") == 0  # holds the layer
     assert usdface("bake", "shot.usda", "--out", "human.usdc") == 0
     assert "only weights" not in capsys.readouterr().out
 

@@ -7,7 +7,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve, no_edit
 from usdface.runner.origin import take_name
 from usdface.runner.result import StepResult
@@ -91,7 +91,7 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
     return StepResult(
         (path,),
         f"{count} of {len(given)} frames differ from the performance, in "
-        f"{pluralize(len(changed), 'shape')}",
+        f"{pluralize(len(changed), 'shape')}: {first_few(sorted(changed))}",
         notes,
         {"frames": count, "shapes": sorted(changed)},
     )

@@ -26,10 +26,11 @@ def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress) -> Ste
             progress=part(progress, 0.0, 0.7),
         )
         write_package(temporary, reader, baked, provenance=provenance)
+    held = bake.driving_notes(spec.performance)  # of layers that are packed as well
     size = spec.out.stat().st_size / 1e6
     return StepResult(
         (spec.out,),
         f"{report.summary}; {size:.1f} MB",
-        report.notes,
+        tuple(note for note in report.notes if note not in held),
         {"bytes": spec.out.stat().st_size, "frames": report.figures["frames"]},
     )
