@@ -79,7 +79,7 @@ def test_two_markers_with_each_others_label_are_named(performer: str) -> None:
 
 
 def test_a_mirrored_take_is_called_so() -> None:
-    with pytest.raises(InputError, match="mirror image .*--mirrored axes"):
+    with pytest.raises(InputError, match=r"mirror image .*--mirrored axes"):
         compare(performance(1) * [-1.0, 1.0, 1.0])
 
 

@@ -50,8 +50,8 @@ _MOVED_MM = 2.0
 spaces of one application agree to a millimetre."""
 
 _OFFSET_ERROR_SHARE = 0.25
-"""Error of an offset, relative to it: reapplied markers have 0.33 to 0.39 (`poe bench
-real_sessions`), of which a part is common to all and changes no weights."""
+"""Error of an offset, relative to that of the markers on skin: reapplied ones have 0.33 to 0.39
+(`poe bench real_sessions`), of which a part is common to all and changes no weights."""
 
 _ALIGNMENT_ROUNDS = 10
 """Iteratively reweighted alignments."""
@@ -210,9 +210,11 @@ def find_head_space(
         performer=performer,
         session=session,
     )
+    offset = neutral.offset
     if by_pairs is not None:
-        size_mm = float(np.sqrt(np.square(by_pairs.pair_offset).sum(axis=1).mean()))
-        neutral = replace(neutral, offset=np.zeros_like(neutral.offset), offset_mm=size_mm)
+        offset = np.asarray(by_pairs.pair_offset)
+        size_mm = float(np.sqrt((offset**2).sum(axis=1).mean()))
+        neutral = replace(neutral, offset=np.zeros_like(offset), offset_mm=size_mm)
     missing = tuple(name for name in face.marker_names if name not in markers.names)
     extra = tuple(name for name in markers.names if name not in face.marker_names)
     return HeadSpace(
@@ -224,7 +226,7 @@ def find_head_space(
         missing,
         extra,
         neutral,
-        _known_share(face, neutral),
+        _known_share(face, offset, slots),
         errors,
         aligned.moved_mm,
         aligned.pair_offset,
@@ -280,9 +282,11 @@ def _align_pairs(
     return _Alignment(rotation, shift, offset) if scatter_mm < MIN_OFFSET_MM else None
 
 
-def _known_share(face: PerformerFace, neutral: TakeNeutral) -> FloatArray:
+def _known_share(face: PerformerFace, offset: FloatArray, shown: IntArray) -> FloatArray:
+    """Return `HeadSpace.known_share` of an offset, (markers, 3) [mm], of the markers `shown`."""
+    on_skin = shown[~np.isin(np.array(face.marker_names)[shown], face.rigid)]
+    error2 = _OFFSET_ERROR_SHARE**2 * (offset[on_skin] ** 2).sum() / max(len(on_skin), 1)
     motion2 = ((face.frames - face.neutral) ** 2).sum(axis=2).mean(axis=0)
-    error2 = (_OFFSET_ERROR_SHARE * neutral.offset_mm) ** 2
     return np.asarray(np.clip(1 - error2 / np.maximum(motion2, 1e-9), 0.0, 1.0))
 
 

@@ -192,8 +192,8 @@ def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
     if not skeletons_of(face):
         raise InputError(
             f"{path} <{face.GetPath()}>: its meshes have BlendShapes but no skel:skeleton; UsdSkel "
-            "animates them only through a Skeleton: bind the meshes to one (a single joint will do) "
-            "and apply SkelBindingAPI to them"
+            "animates them only through a Skeleton: bind the meshes to one (a single joint will "
+            "do) and apply SkelBindingAPI to them"
         )
     _check_below_top(face, path)
     _check_moves(face, path)
