@@ -8,7 +8,7 @@ from typing import Any
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import LAYER_SUFFIXES, corrected_path, is_usd_name
-from usdface.core.text import json_object, pluralize
+from usdface.core.text import json_object, pluralize, read_text
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
@@ -41,7 +41,8 @@ def provenance_of(path: Path) -> Provenance | None:
 
             return _from_metadata(json_object(read_page_origin(path)))
         if path.suffix.lower() == ".json":
-            return _from_json(path)
+            made = json_object(read_text(path, LARGEST_FIGURES_BYTES)).get("provenance")
+            return _from_metadata(made) if isinstance(made, dict) else None
         if path.suffix.lower() == ".textgrid":
             from usdface.speech.track_files import read_origin
 
@@ -132,17 +133,6 @@ def _from_metadata(metadata: dict[str, object]) -> Provenance | None:
         inputs={str(key): str(value) for key, value in inputs.items()},
         version=str(metadata["usdface"]),
     )
-
-
-def _from_json(path: Path) -> Provenance | None:
-    """Return the provenance in a JSON file of figures."""
-    try:
-        if path.stat().st_size > LARGEST_FIGURES_BYTES:
-            return None
-        made = json_object(path.read_text(encoding="utf-8")).get("provenance")
-    except (OSError, ValueError):
-        return None
-    return _from_metadata(made) if isinstance(made, dict) else None
 
 
 def hash_input(path: Path, how: Reads = Reads()) -> str:  # noqa: B008  # it is frozen

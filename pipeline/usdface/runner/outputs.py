@@ -152,11 +152,12 @@ def _newest_input_ns(spec: Spec, inputs: Mapping[Path, Reads]) -> int:
 def check_may_be_replaced(spec: Spec) -> None:
     """Refuse outputs that would replace files of other programs or other kinds of step."""
     for path in spec.paths(Writes):
-        if foreign := foreign_sidecar(spec, path):
-            raise InputError(
-                f"{foreign}: exists and was not written by usdface, and {spec.step} writes a layer "
-                f"of {path.name} there; choose another --out, or --overwrite it"
-            )
+        for layer in sidecars_of(spec, path):
+            if layer.exists() and provenance_of(layer) is None:
+                raise InputError(
+                    f"{layer}: exists and was not written by usdface, and {spec.step} writes a "
+                    f"layer of {path.name} there; choose another --out, or --overwrite it"
+                )
         if sibling := sibling_sharing_layers(spec, path):
             raise InputError(
                 f"{sibling}: has the same sublayers as {path.name} would have, and would change "
@@ -181,16 +182,6 @@ def check_may_be_replaced(spec: Spec) -> None:
 def sidecars_of(spec: Spec, path: Path) -> list[Path]:
     """Return the sublayers that a step writes for an output."""
     return [layer for rule in type(spec).sidecars if (layer := rule(path)) != path]
-
-
-def foreign_sidecar(spec: Spec, path: Path) -> Path | None:
-    """Return a file not written by usdface at the path of a sublayer of an output, if any."""
-    foreign = (
-        layer
-        for layer in sidecars_of(spec, path)
-        if layer.exists() and provenance_of(layer) is None
-    )
-    return next(foreign, None)
 
 
 def sibling_sharing_layers(spec: Spec, path: Path) -> Path | None:
