@@ -37,8 +37,7 @@ class PerformerFace:
 
 def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
     """Return the face of a mapping's training; InputError if it lacks arrays, as earlier ones."""
-    motion, count = motion_of(mapping), len(mapping.marker_names)
-    frames = motion.mean + motion.sample @ motion.components
+    frames = sampled_frames(motion_of(mapping))
     pairs = mapping.arrays.get("pair_frames", np.zeros((0, 2))).astype(np.int64)
     try:
         takes = json.loads(str(mapping.settings.get("pair_takes", "[]")))
@@ -46,8 +45,8 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
             mapping.marker_names,
             mapping.rigid,
             mapping.neutral,
-            frames.reshape(-1, count, 3),
-            np.ones((len(frames), count), np.bool_),
+            frames,
+            np.ones(frames.shape[:2], np.bool_),
             str(mapping.settings.get("performer", "")),
             str(mapping.settings.get("session", "")),
             ExpressionMotion.from_arrays(mapping.arrays, mapping.neutral),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, coordinates_of
+from usdface.core.arrays import FloatArray, IntArray, coordinates_of, sample_frames
 from usdface.model.placement.label_hints import face_region, label_hint
 from usdface.numerics.measure.face_regions import (
     REGIONS,
@@ -143,8 +143,7 @@ def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
     from usdface.numerics.solve.blendshapes import moving_points  # imports SciPy: half a second
 
     moving = moving_points(offsets)
-    chosen = np.linspace(0, len(moving) - 1, min(count, len(moving))).astype(np.int64)
-    return np.asarray(moving[chosen], dtype=np.int64)
+    return np.asarray(moving[sample_frames(len(moving), count)], dtype=np.int64)
 
 
 def offsets_at(offsets: FloatArray | sparse.sparray, points: IntArray) -> FloatArray:

@@ -142,6 +142,8 @@ def train_mapping(
     progress(1.0, f"trained {best.method.name}")
     solver = _frame_solver(corrected, fitted, compared.out_of_fold)
     regions, error_arrays = _uncertainty(compared, folds, solver)
+    arrays = fitted.arrays | motion_arrays(face.motion) | solver.to_arrays() | error_arrays
+    arrays |= sides.to_arrays() | pose_arrays | pair_arrays
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
@@ -149,15 +151,8 @@ def train_mapping(
         rigid=checked.rigid,
         neutral=checked.neutral.astype(np.float64),
         ranges=sides.limits,
-        arrays=_as_stored(
-            fitted.arrays
-            | motion_arrays(face.motion)
-            | solver.to_arrays()
-            | error_arrays
-            | sides.to_arrays()
-            | pose_arrays
-            | pair_arrays
-        ),
+        # As read from a file, so that the reopened mapping predicts the same.
+        arrays={name: np.ascontiguousarray(each, np.float64) for name, each in arrays.items()},
         settings=fitted.settings
         | _region_settings(checked, folds, regions)
         | _key_settings(folds, checked)
@@ -300,11 +295,6 @@ def _key_settings(folds: PairFolds, references: References) -> dict[str, float |
             for n, (region, residual) in contradicted
         ),
     }
-
-
-def _as_stored(arrays: Arrays) -> Arrays:
-    """Return arrays as read from a file, so that the reopened mapping predicts the same."""
-    return {name: np.ascontiguousarray(each, dtype=np.float64) for name, each in arrays.items()}
 
 
 def _frame_solver(

@@ -54,16 +54,11 @@ def side_of_label(label: str) -> Side:
         if found["front"] and _NOT_A_SIDE.match(name):
             continue
         token = found["front"] or found["back"]
-        if found["back"] and len(token) == 1 and token.islower() and not _stands_alone(name, found):
+        # A lower-case letter at the end is often that of a word, as in ``cheekuper``.
+        if found["back"] in ("l", "r") and name[found.start("back") - 1] not in "_-. ":
             continue
         return token[0].upper()
     return ""
-
-
-def _stands_alone(name: str, found: re.Match[str]) -> bool:
-    """Whether a lower-case l or r is a separate token, not the end of a word (``cheekuper``)."""
-    before = name[found.start("back") - 1 : found.start("back")]
-    return before in ("_", "-", ".", " ")
 
 
 def upper_lid_sides(labels: Sequence[str]) -> set[Side]:

@@ -219,11 +219,6 @@ class FrameSolver:
             predicted += driven.displacements(t, self.forward.scales.curve, slope)
         return predicted, slope
 
-    @property
-    def has_jacobians(self) -> bool:
-        """Whether frames have a Jacobian and a Hessian each: not for rigs of many shapes."""
-        return len(self.error) <= _MAX_DENSE_SHAPES
-
     @cached_property
     def residual_variance(self) -> FloatArray:
         """Expected squared residual of a coordinate at the true weights: (markers,) [mm^2]."""
@@ -268,7 +263,7 @@ class FrameSolver:
         model = self.forward
         basis = single_precision(model.basis.reshape(len(model.basis), -1))
         curvature = None
-        if self.has_jacobians:
+        if len(self.error) <= _MAX_DENSE_SHAPES:
             curvature = single_precision(2 * model.curvature().reshape(len(basis), -1))
         return basis, model.offset.reshape(-1).astype(np.float32), curvature
 

@@ -20,11 +20,10 @@ from usdface.core.arrays import (
 )
 from usdface.core.assets import References
 from usdface.model.mapping.coverage import LEAST_COVERAGE, CoverageModel
-from usdface.model.mapping.motion_space import motion_from_pca
+from usdface.model.mapping.motion_space import marker_coordinates, motion_of_pairs
 from usdface.model.selection.design import Features, features_at, selection_space
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
-from usdface.numerics.regression.pca import fit_pca
 from usdface.numerics.regression.reference_design import KEY_VARIANCE, design_gp_variance
 
 _FEWEST_PAIRS = 6
@@ -66,9 +65,8 @@ def find_reference_conflicts(references: References) -> list[ReferenceConflict]:
     pairs, shapes = references.weights.shape
     if pairs < _FEWEST_PAIRS:
         return []
-    packed = references.markers.reshape(pairs, -1)
-    motion = references.motion or motion_from_pca(fit_pca(packed), packed)
-    coordinates = (packed - motion.mean) @ motion.components.T
+    motion = references.motion or motion_of_pairs(references)
+    coordinates = marker_coordinates(motion, references.markers)
     weights = references.weights / np.maximum(np.abs(references.weights).max(axis=0), 1.0)
     line = fit_linear_ridge(coordinates, weights)
     sample = (motion.sample - line.mean) @ line.coefficients + line.intercept

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, IntArray, coordinates_of
+from usdface.core.arrays import FloatArray, IntArray, coordinates_of, sample_frames
 from usdface.core.rig_logic import RigLogic
 
 _LEAST_SHARE = 0.02
@@ -123,9 +123,7 @@ class BlendShapes:
         """
         moving = moving_points(self.key_offsets)
         still = np.setdiff1d(np.arange(self.point_count), moving)
-        if len(still) > len(moving):
-            still = still[np.linspace(0, len(still) - 1, len(moving)).astype(np.int64)]
-        return np.union1d(moving, still)
+        return np.union1d(moving, still[sample_frames(len(still), len(moving))])
 
     def offsets(self, weights: ArrayLike) -> FloatArray:
         """Return displacements of the points: (frames, points, 3) float array."""
