@@ -93,10 +93,7 @@ def keep_lip_contact(
         Stabilised [mm].
     weights : (frames, shapes) float array
     """
-    motion = equation.motion(positions)
-    direction = lips.pairs.direction
-    parted = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
-    closed = np.flatnonzero(parted < CONTACT_MM)
+    closed = np.flatnonzero(captured_gap_mm(equation, lips, positions) < CONTACT_MM)
     out = weights.copy()
     low, high = equation.ranges[lips.columns].T
     gram = deformer.shapes.gram()[np.ix_(lips.columns, lips.columns)]
@@ -119,6 +116,13 @@ def keep_lip_contact(
             weights[free] += step
             out[row, lips.columns] = np.clip(weights, low, high)
     return out
+
+
+def captured_gap_mm(equation: BlendshapeEquation, lips: Lips, positions: Positions) -> FloatArray:
+    """Return the distance of the performer's lips beyond that of the neutral: (frames,) [mm]."""
+    motion = equation.motion(positions)
+    between = motion[:, lips.upper] - motion[:, lips.lower]
+    return np.asarray((between @ lips.pairs.direction).mean(axis=1))
 
 
 def lip_gap_mm(deformer: Deformer, lips: Lips, weights: FloatArray) -> FloatArray:

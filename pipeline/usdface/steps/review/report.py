@@ -43,7 +43,6 @@ from usdface.steps.review.report_parts import (
     page_strips,
 )
 from usdface.steps.review.report_tables import (
-    evaluate_shown,
     find_references,
     listings,
     show_coverage,
@@ -115,7 +114,7 @@ def _page(
     verdict = judge_solve(signals.evidence)
     rows = np.arange(len(shot.frames))
     baseline = solve_baseline(equation, shot, rows) if spec.baseline and equation else None
-    tables = listings(shot, evaluate_shown(shot, keys), provenance)
+    tables = listings(shot, keys, provenance)
     view = shot.camera(spec.camera, spec.camera_stage)
     notes += [*view.notes(clock.first_frame), *rig.undrawn_notes()]
     shares = None if shot.motion is None else shot.motion.shares

@@ -26,26 +26,18 @@ _LISTED_EDITS = 200
 INPUT_DIGITS = 12
 
 
-def evaluate_shown(shot: Shot, truth: FloatArray | None) -> Evaluation | None:
-    """Measure a shot against keys at the frames that have them; None without keys."""
-    if truth is None:
-        return None
-    known = ~np.isnan(truth).any(axis=1)
-    return evaluate_weights(
-        shot.rig,
-        shot.weights[known],
-        truth[known],
-        frames=shot.frames[known],
-        compared=np.ones(len(shot.rig.shapes), bool),
-    )
-
-
-def listings(
-    shot: Shot, evaluation: Evaluation | None, provenance: Provenance
-) -> tuple[Listing, ...]:
-    """Return every table that has rows."""
+def listings(shot: Shot, truth: FloatArray | None, provenance: Provenance) -> tuple[Listing, ...]:
+    """Return every table that has rows; errors are measured at the frames that have keys."""
     found = [_edits(shot), _repairs(shot), _provenance(shot, provenance)]
-    if evaluation is not None:
+    if truth is not None:
+        known = ~np.isnan(truth).any(axis=1)
+        evaluation = evaluate_weights(
+            shot.rig,
+            shot.weights[known],
+            truth[known],
+            frames=shot.frames[known],
+            compared=np.ones(len(shot.rig.shapes), bool),
+        )
         found[:0] = [_figures(evaluation), _regions(evaluation)]
     return tuple(each for each in found if each.rows)
 

@@ -28,7 +28,13 @@ from usdface.model.selection.baseline import (
     PerformerMarkers,
     proposed_weights,
 )
-from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
+from usdface.model.selection.lip_contact import (
+    CONTACT_MM,
+    Lips,
+    captured_gap_mm,
+    find_lips,
+    lip_gap_mm,
+)
 from usdface.specs.review import FramePick
 from usdface.steps.inputs.placement import placed_equation, placement_of_performance
 from usdface.steps.inputs.weight_tables import WeightTable, missing_shape_notes, read_weight_table
@@ -92,9 +98,7 @@ class ShotMetric:
 
 def lip_gaps(shot: Shot, equation: BlendshapeEquation, lips: Lips) -> FloatArray:
     """Return the lip distance where the performer's lips are closed, else 0: (frames,) [mm]."""
-    motion = equation.motion(shot.positions)
-    direction = lips.pairs.direction
-    captured = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
+    captured = captured_gap_mm(equation, lips, shot.positions)
     estimate = np.where(captured < CONTACT_MM, shot.weights[:, lips.columns] @ lips.opening, 0.0)
     rows = np.argsort(-estimate, kind="stable")[:_MEASURED_GAPS]
     rows = rows[estimate[rows] > CONTACT_MM]

@@ -121,14 +121,6 @@ def compare_shots(spec: SheetSpec, shots: list[Shot], progress: Progress) -> She
     )
 
 
-def row_count(spec: SheetSpec) -> int:
-    """Return the number of frames to show."""
-    listed = frame_list(spec.frames)
-    if listed is not None:
-        return len(listed)
-    return spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS)
-
-
 def open_shots(spec: SheetSpec) -> list[Shot]:
     """Open every performance over the common frames."""
     check_same_take(spec.performance, spec.take, spec.also)
@@ -176,7 +168,7 @@ def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenF
         return [ChosenFrame(int(row)) for row in np.unique(rows)]
     return choose_frames(
         spec.pick or PICKS[spec.layout],
-        row_count(spec),
+        spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS),
         strength=surface_distance(shot, shot.weights),
         signals=signals,
         rate=float(shot.take.rate),
