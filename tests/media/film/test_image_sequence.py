@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.media.film.image_sequence import ImageSequence
+from usdface.media.film.timed_frames import ImageSequence
 from usdface.media.film.video import open_video
 from usdface.media.picture.image import write_image
 

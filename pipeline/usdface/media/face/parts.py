@@ -84,7 +84,9 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: Callable[[], FloatArray]
     """
     labels, named = _label(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])
-    open_rim = np.concatenate([_on_border(mesh) for mesh in meshes])
+    open_rim = np.concatenate(
+        [np.isin(np.arange(len(mesh.points)), border_edges(mesh)) for mesh in meshes]
+    )
     count = len(named)
     order = np.argsort(labels, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
@@ -135,13 +137,6 @@ def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[FacePart | None]]:
         labels.append(own + len(named))
         named.extend([part] * (int(own.max(initial=-1)) + 1))
     return np.concatenate(labels), named
-
-
-def _on_border(mesh: RigMesh) -> FloatArray:
-    """Return whether each point is on an open edge."""
-    border = np.zeros(len(mesh.points), bool)
-    border[border_edges(mesh)] = True
-    return border
 
 
 def _width(points: FloatArray) -> float:

@@ -23,8 +23,7 @@ from usdface.media.film.containers import (
     open_media,
     start_seconds,
 )
-from usdface.media.film.image_sequence import PICTURE_SUFFIXES, ImageSequence
-from usdface.media.film.timed_frames import OpenVideo
+from usdface.media.film.timed_frames import PICTURE_SUFFIXES, ImageSequence, OpenVideo
 
 MAX_FRAMES = 5_000_000
 """23 hours at 60 frames per second; more is a damaged index."""

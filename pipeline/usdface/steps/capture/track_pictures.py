@@ -19,8 +19,7 @@ from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance, hash_text
 from usdface.core.side_files import clear_side_folder, make_side_folder
 from usdface.core.sidecars import work_folder
-from usdface.media.film.image_sequence import ImageSequence
-from usdface.media.film.timed_frames import OpenVideo
+from usdface.media.film.timed_frames import ImageSequence, OpenVideo
 from usdface.specs.capture import TrackSpec
 from usdface.specs.paths import frame_range
 from usdface.usdio.take.detections import read_detections, write_detections
