@@ -12,11 +12,10 @@ from usdface.capture.face_landmarks import LANDMARK_ROWS, LANDMARKS
 from usdface.core import deformer
 from usdface.core.errors import InputError
 from usdface.media.face.markers_view import draw_markers
-from usdface.model.placement.marker_rows import rows_by_place
 from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.runner.execute import execute
 from usdface.specs.review import ReportSpec
-from usdface.steps.inputs.marker_lines import lines_on_rig, marker_lines
+from usdface.steps.inputs.marker_lines import lines_on_rig, marker_lines, rows_by_place
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import set_up_shot_baseline
 from usdface.steps.review.shot import open_shot
