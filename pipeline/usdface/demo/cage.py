@@ -198,7 +198,7 @@ def _nostril(half: HalfCage, rim: list[int]) -> None:
         ring = inner
     half.faces.append((ring[0], ring[1], ring[2], ring[3]))
     for index in rim:
-        half.mark(index, Mark.SETTLE, 0.35)
+        half.marks[index][Mark.SETTLE] = 0.35
 
 
 def lay_mouth(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
@@ -255,8 +255,7 @@ def lay_mouth(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
         rings.append((number, np.stack([x, y, z], axis=1), 0.0))
     previous = outer
     for index, ring_side in zip(outer, side, strict=True):
-        half.mark(index, Mark.MOUTH_RING, 4.0)
-        half.mark(index, Mark.MOUTH_SIDE, ring_side)
+        half.marks[index][[Mark.MOUTH_RING, Mark.MOUTH_SIDE]] = 4.0, ring_side
     for number, positions, settle in rings:
         positions[[0, -1], 0] = 0.0
         ring = [
@@ -322,8 +321,7 @@ def lay_eye(half: HalfCage, style: Style, grid: IntArray) -> None:
     ]
     previous = outer
     for index, ring_side in zip(outer, side, strict=True):
-        half.mark(index, Mark.EYE_RING, 4.0)
-        half.mark(index, Mark.EYE_SIDE, ring_side)
+        half.marks[index][[Mark.EYE_RING, Mark.EYE_SIDE]] = 4.0, ring_side
     for number, positions, settle in rings:
         ring = [
             half.point(p, settle=on_form, eye_ring=number, eye_side=s)

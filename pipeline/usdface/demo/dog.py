@@ -149,7 +149,7 @@ def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
     for mood in moods.values():
         row = np.zeros(len(names))
         for motion, weight in mood.items():
-            row[np.isin(names, _of(names, motion))] = weight
+            row[np.isin(names, _like(names, motion))] = weight
         rows.append(row)
     return ("rest", *DOG_SHAPES, *moods), np.array(rows)
 
@@ -167,7 +167,7 @@ def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
     bent = 1.1 * np.tanh(1.6 * shapes) / np.tanh(1.6)  # a steep onset, as in cartoons
 
     def level(*motions: str) -> FloatArray:
-        found = [weights[:, np.isin(names, _of(names, motion))] for motion in motions]
+        found = [weights[:, np.isin(names, _like(names, motion))] for motion in motions]
         return np.asarray(np.concatenate(found, axis=1).mean(axis=1))
 
     anger, up, joy = (
@@ -202,17 +202,10 @@ def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
     )
 
 
-def _of(names: tuple[str, ...], motion: str) -> list[str]:
-    return [name for name in names if motion_and_side(name)[0] == motion]
-
-
 def _like(names: tuple[str, ...], human: str) -> list[str]:
     motion, side = motion_and_side(human)
-    return [
-        n
-        for n in names
-        if motion_and_side(n)[0] == motion and (not side or motion_and_side(n)[1] == side)
-    ]
+    every = {name: motion_and_side(name) for name in names}
+    return [n for n, own in every.items() if own[0] == motion and side in ("", own[1])]
 
 
 def _dog_mesh(mesh: RigMesh, parts: IntArray) -> RigMesh:

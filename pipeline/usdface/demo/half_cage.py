@@ -53,10 +53,6 @@ class HalfCage:
         self.marks.append(values)
         return len(self.points) - 1
 
-    def mark(self, index: int, mark: Mark, value: float) -> None:
-        """Change one mark of a point."""
-        self.marks[index][mark] = value
-
     def strip(self, first: list[int], second: list[int]) -> None:
         """Join two rows of the same length by quads that face outwards if the second is above."""
         for k in range(len(first) - 1):
