@@ -109,13 +109,6 @@ class Comparison:
     """In ascending order of error."""
 
 
-@dataclass(frozen=True)
-class _Scored:
-    score: CandidateScore
-    candidate: Candidate
-    out_of_fold: OutOfFold
-
-
 class PairFolds:
     """Pairs in folds blocked by take and time.
 
@@ -249,22 +242,18 @@ def compare_candidates(
             folds.predict(each).errors for each in list_candidates(pairs, AUTO[0], Choices())
         ]
     observable = observable_shapes(judged, pairs.outputs)
-    gram = pairs.face.gram if in_mm else None
-    scored = [
-        _Scored(_score(candidate, predicted.errors, observable, gram), candidate, predicted)
-        for predicted, candidate in predictions
-    ]
-    if not scored:
+    if not predictions:
         return Comparison(candidates[0], None, observable, ())
-    scored.sort(key=lambda entry: _sort_key(entry.score))
+    gram = pairs.face.gram if in_mm else None
+    scored = [(_score(each, out.errors, observable, gram), each, out) for out, each in predictions]
+    scored.sort(key=lambda entry: _sort_key(entry[0]))
     best = scored[0]
-    default = next((entry for entry in scored if entry.candidate.method.name == AUTO[0]), best)
-    before, after = (each.out_of_fold.errors[:, observable] for each in (default, best))
+    default = next((entry for entry in scored if entry[1].method.name == AUTO[0]), best)
+    before, after = (out.errors[:, observable] for _, _, out in (default, best))
     metric = pairs.face.gram[np.ix_(observable, observable)]
     if paired_t(before, after, metric, folds.blocks) <= _CRITICAL_T:
         best = default
-    scores = tuple(entry.score for entry in scored)
-    return Comparison(best.candidate, best.out_of_fold, observable, scores)
+    return Comparison(*best[1:], observable, tuple(score for score, _, _ in scored))
 
 
 def time_blocks(frames: IntArray, takes: Sequence[str], *, length: int) -> IntArray:

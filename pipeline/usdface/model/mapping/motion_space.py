@@ -118,7 +118,12 @@ def motion_of_pairs(references: References) -> MotionSpace:
 
 def sampled_frames(motion: MotionSpace) -> FloatArray:
     """Return the sample of a motion space, (frames, markers, 3) [mm]."""
-    return (motion.mean + motion.sample @ motion.components).reshape(len(motion.sample), -1, 3)
+    return frames_at(motion, motion.sample)
+
+
+def frames_at(motion: MotionSpace, coordinates: FloatArray) -> FloatArray:
+    """Return the frames at coordinates of a motion space, (frames, markers, 3) [mm]."""
+    return (motion.mean + coordinates @ motion.components).reshape(len(coordinates), -1, 3)
 
 
 def motion_without_errors(motion: MotionSpace, errors: PoseErrors) -> MotionSpace:

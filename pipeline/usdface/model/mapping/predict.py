@@ -11,7 +11,7 @@ from usdface.core.assets import Rig, SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.head_space import MINIMUM_SHARE
-from usdface.model.mapping.motion_space import marker_coordinates, motion_of
+from usdface.model.mapping.motion_space import frames_at, marker_coordinates, motion_of
 from usdface.model.mapping.rig_match import changed_shapes
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
@@ -144,8 +144,7 @@ class WeightPredictor:
         displacements = np.asarray(positions - self._mapping.neutral, dtype=np.float64)
         if not visible.all():
             rows = np.flatnonzero(~visible.all(axis=1))
-            expected = self._motion.mean + coordinates[rows] @ self._motion.components
-            expected = expected.reshape(len(rows), -1, 3) - self._mapping.neutral
+            expected = frames_at(self._motion, coordinates[rows]) - self._mapping.neutral
             displacements[rows] = np.where(visible[rows, :, None], displacements[rows], expected)
         return displacements
 

@@ -160,9 +160,7 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
         for size, places in ((on_face, mapping.neutral), (on_rig, deformer.neutral))
     )
     fit = fit_similarity(face, character, weight=np.sqrt(on_face[both].sum(axis=1)))
-    onto = np.eye(4)
-    onto[:3, :3], onto[:3, 3] = fit.scale[0] * fit.rotation, fit.translation
-    return onto
+    return pose_matrices(fit.scale[0] * fit.rotation, fit.translation)
 
 
 def turn_about(turns: FloatArray, axes: FloatArray, pivot: Sequence[float]) -> FloatArray:

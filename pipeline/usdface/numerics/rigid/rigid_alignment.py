@@ -57,10 +57,10 @@ class RigidAlignment:
 
 
 def pose_matrices(rotations: FloatArray, translations: FloatArray) -> FloatArray:
-    """Return (frames, 4, 4) transforms for column vectors: a rotation, then a translation."""
-    matrices = np.tile(np.eye(4), (len(rotations), 1, 1))
-    matrices[:, :3, :3] = rotations
-    matrices[:, :3, 3] = translations
+    """Return (..., 4, 4) transforms for column vectors: a rotation, then a translation."""
+    matrices = np.tile(np.eye(4), (*rotations.shape[:-2], 1, 1))
+    matrices[..., :3, :3] = rotations
+    matrices[..., :3, 3] = translations
     return matrices
 
 

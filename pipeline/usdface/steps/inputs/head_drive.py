@@ -22,6 +22,7 @@ from usdface.model.retarget.head_pose import (
     rotations_of,
     turn_about,
 )
+from usdface.numerics.rigid.rigid_alignment import pose_matrices
 from usdface.usdio.rig.drive_targets import DriveTarget, HeadDrive, find_drive_target
 from usdface.usdio.rig.rig_motion import points_following
 from usdface.usdio.take.read import TakeReader
@@ -63,7 +64,9 @@ class HeadSource:
         axes, transforms = face_axes(rig), dict[DriveTarget, FloatArray]()
         for target in targets:
             if target.part == HEAD and self.motion is not None:
-                to_rig = self._upright_onto(rig, axes) if onto is None else onto
+                to_rig = onto
+                if to_rig is None:
+                    to_rig = pose_matrices(axes, face_centre(rig) - axes @ self.centre)
                 transforms[target] = to_rig @ self.motion @ np.linalg.inv(to_rig)
             elif target.part in self.turns:
                 transforms[target] = turn_about(self.turns[target.part], axes, target.pivot)
@@ -95,11 +98,6 @@ class HeadSource:
                 "they move do not follow the gaze"
             )
         return HeadDrive(self.transforms(rig, targets, onto), zeroed, tuple(notes))
-
-    def _upright_onto(self, rig: Rig, axes: FloatArray) -> FloatArray:
-        onto = np.eye(4)
-        onto[:3, :3], onto[:3, 3] = axes, face_centre(rig) - axes @ self.centre
-        return onto
 
 
 def redundant_look_shapes(rig: Rig, targets: Sequence[DriveTarget]) -> tuple[str, ...]:

@@ -8,7 +8,12 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import MotionSpace, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
-from usdface.model.mapping.motion_space import fit_motion_space, marker_coordinates
+from usdface.model.mapping.motion_space import (
+    fit_motion_space,
+    frames_at,
+    marker_coordinates,
+    sampled_frames,
+)
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
@@ -71,19 +76,16 @@ def set_up_scene(
     progress(0.35, "placing the markers on the rig")
     deformer = Deformer(rig)
     equation = _equation(takes, rig, deformer, placement)
-
-    def positions(coordinates: FloatArray) -> FloatArray:
-        packed = motion.mean + coordinates @ motion.components
-        return packed.reshape(len(packed), -1, 3)
-
-    weights = proposed_weights(equation, positions(motion.sample))
+    weights = proposed_weights(equation, sampled_frames(motion))
     parts = shape_parts(rig, deformer)
     space = selection_space(motion, weights, parts)
     proposals = WeightProposals(
         features=space.features(motion.sample),
         weights=weights,
         of_rows=lambda rows: equation.propose(
-            positions(marker_coordinates(motion, takes.positions_at(rows).astype(np.float64)))
+            frames_at(
+                motion, marker_coordinates(motion, takes.positions_at(rows).astype(np.float64))
+            )
         ),
         gram=deformer.shapes.gram(),
     )

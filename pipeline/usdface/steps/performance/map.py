@@ -30,6 +30,7 @@ from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.review.verdict import VISIBLE_ERROR_MM, judge_solve
+from usdface.numerics.rigid.rigid_alignment import pose_matrices
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
@@ -235,10 +236,8 @@ def _driven(
     from usdface.steps.inputs.head_drive import named_targets, take_head_source
 
     targets = named_targets(rig, spec.drive)
-    into_mapping = np.eye(4)
-    into_mapping[:3, :3], into_mapping[:3, 3] = space.rotation, space.shift
     with as_input_error(f"{spec.mapping}: the performer cannot be aligned with the rig"):
-        onto = performer_onto_rig(mapping, rig) @ into_mapping
+        onto = performer_onto_rig(mapping, rig) @ pose_matrices(space.rotation, space.shift)
     return take_head_source(take, *frames).drive(rig, targets, onto)
 
 
