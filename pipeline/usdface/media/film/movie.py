@@ -79,7 +79,7 @@ def write_movie(
                 _encode(
                     container,
                     _same_size(path, first, chain([first], pictures)),
-                    size=_even_size(first),
+                    size=(first.shape[0], first.shape[1]),
                     rate=Fraction(rate),
                     audio=audio,
                     proxy=proxy,
@@ -123,7 +123,7 @@ def _encode(
     encoder = video_encoder(container.format.name)
     options: Mapping[str, dict[str, str]] = _PROXY_OPTIONS if proxy else _OPTIONS
     video = container.add_stream(encoder, rate=rate, options=options.get(encoder, options["other"]))
-    video.height, video.width = size
+    video.height, video.width = (each + each % 2 for each in size)
     video.pix_fmt = "yuv420p"
     context = video.codec_context
     context.time_base = 1 / rate
@@ -133,8 +133,7 @@ def _encode(
     context.color_range = 1  # limited, as players expect
     sound = None if audio is None else SoundTrack(container, audio)
     for number, picture in _changes(pictures) if proxy else enumerate(pictures):
-        padded = _padded(picture, size)
-        frame = av.VideoFrame.from_ndarray(padded, format="rgb24")
+        frame = av.VideoFrame.from_ndarray(_padded(picture), format="rgb24")
         # Threads of the converter are started for each picture, which takes longer than converting.
         frame = frame.reformat(
             format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG", threads=1
@@ -161,13 +160,9 @@ def _changes(pictures: Iterator[ByteImage]) -> Iterator[tuple[int, ByteImage]]:
         yield number, shown
 
 
-def _even_size(picture: ByteImage) -> tuple[int, int]:
-    height, width = picture.shape[:2]
-    return height + height % 2, width + width % 2
-
-
-def _padded(picture: ByteImage, size: tuple[int, int]) -> ByteImage:
-    rows, columns = size[0] - picture.shape[0], size[1] - picture.shape[1]
+def _padded(picture: ByteImage) -> ByteImage:
+    """Return a picture of even size."""
+    rows, columns = picture.shape[0] % 2, picture.shape[1] % 2
     if rows or columns:
         picture = np.pad(picture, ((0, rows), (0, columns), (0, 0)), mode="edge")
     return np.ascontiguousarray(picture)

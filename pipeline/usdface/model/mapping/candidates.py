@@ -246,7 +246,7 @@ def compare_candidates(
         return Comparison(candidates[0], None, observable, ())
     gram = pairs.face.gram if in_mm else None
     scored = [(_score(each, out.errors, observable, gram), each, out) for out, each in predictions]
-    scored.sort(key=lambda entry: _sort_key(entry[0]))
+    scored.sort(key=lambda entry: entry[0].vertex_rms_mm if in_mm else entry[0].weight_rmse)
     best = scored[0]
     default = next((entry for entry in scored if entry[1].method.name == AUTO[0]), best)
     before, after = (out.errors[:, observable] for _, _, out in (default, best))
@@ -320,10 +320,6 @@ def _score(
             else surface_rms_mm(errors, gram[np.ix_(observable, observable)])
         ),
     )
-
-
-def _sort_key(score: CandidateScore) -> float:
-    return score.weight_rmse if np.isnan(score.vertex_rms_mm) else score.vertex_rms_mm
 
 
 def _readable(settings: Settings) -> str:

@@ -27,8 +27,6 @@ class UnreachedReport:
     loose points."""
     apart: BoolArray
     """(markers,): those on other islands than most markers."""
-    islands: int
-    """Connected parts of the mesh."""
     islands_without_marker: int
     faults: MeshFaults
 
@@ -132,7 +130,6 @@ def surface_distances(
     unreached = ~np.isfinite(to_points)
     unreached_pairs = ~np.isfinite(between)
     np.copyto(to_points, straight, where=unreached)
-    islands = int(found.islands.max()) + 1
     of_markers = found.islands[markers.corners[:, 0]]
     return SurfaceDistances(
         points=points.astype(np.float32),
@@ -144,8 +141,7 @@ def surface_distances(
         unreached=UnreachedReport(
             points=np.asarray(unreached.all(axis=0)),
             apart=np.asarray(of_markers != np.bincount(of_markers).argmax()),
-            islands=islands,
-            islands_without_marker=islands - len(np.unique(of_markers)),
+            islands_without_marker=int(found.islands.max()) + 1 - len(np.unique(of_markers)),
             faults=found.faults,
         ),
     )

@@ -72,14 +72,11 @@ def sided_shapes(offsets: sparse.csr_array, points: ArrayLike) -> BoolArray:
     """
     x = np.asarray(points, np.float64)[:, 0]
     squared = offsets.power(2)
-    sides = np.repeat(np.column_stack([x > _middle(x), x <= _middle(x)]), 3, axis=0)
+    middle = (x.min() + x.max()) / 2 if len(x) else 0.0
+    sides = np.repeat(np.column_stack([x > middle, x <= middle]), 3, axis=0)
     shares = np.asarray(squared @ sides.astype(np.float64))
     total = shares.sum(axis=1)
     return np.asarray((total > 0) & (shares.max(axis=1) >= _ONE_SIDE_SHARE * total))
-
-
-def _middle(x: FloatArray) -> float:
-    return float((x.min() + x.max()) / 2) if len(x) else 0.0
 
 
 def swap_side(name: str, match: re.Match[str], group: str | int = 0) -> str:
