@@ -38,8 +38,6 @@ def fit_network(pairs: Pairs, settings: Settings) -> Fitted:
     try:
         model = fit_multiquadric(features, pairs.outputs, smooth=smooth)
     except ValueError:
-        if smooth:
-            raise
         smooth = True
         model = fit_multiquadric(features, pairs.outputs, smooth=True)
     arrays = {

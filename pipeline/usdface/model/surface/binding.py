@@ -61,9 +61,9 @@ def propose_binding(
     neutral: FloatArray,
     positions: FloatArray,
     visible: BoolArray,
-    rigid: tuple[int, ...] = (),
-    pinned: dict[int, FloatArray] | None = None,
-    sources: dict[int, str] | None = None,
+    rigid: tuple[int, ...],
+    pins: dict[int, FloatArray],
+    sources: dict[int, str],
 ) -> MarkerBinding:
     """Find the position of every marker on a mesh.
 
@@ -81,12 +81,11 @@ def propose_binding(
     visible : (frames, markers) bool array
     rigid : tuple of int
         Markers that move with the skull only.
-    pinned : dict of int to (3,) float array, optional
+    pins : dict of int to (3,) float array
         Positions that a person gave [mm].
-    sources : dict of int to str, optional
+    sources : dict of int to str
         How each pinned marker was placed: ``'landmark'`` or ``'corrected'``.
     """
-    pins = pinned or {}
     if len(neutral) < FEWEST_MARKERS:
         raise InputError(
             f"the take has {len(neutral)} markers; at least {FEWEST_MARKERS} are needed to lay a "
@@ -104,7 +103,7 @@ def propose_binding(
             raise InputError(
                 f"<{mesh.path}>: has no shapes from which markers could be placed, and {len(pins)} "
                 f"landmarks are given; name at least {FEWEST_LANDMARKS} that are not on a line, as "
-                f"--landmarks {_three_of(names)}"
+                f"--landmarks {','.join(f'{names[at]}=POINT' for at in (0, len(names) // 2, -1))}"
             )
         return bind_at(
             mesh, places, names, neutral=neutral, sample=sample, pins=pins, sources=sources
@@ -206,7 +205,7 @@ def bind_at(
     neutral: FloatArray,
     sample: FloatArray,
     pins: dict[int, FloatArray],
-    sources: dict[int, str] | None = None,
+    sources: dict[int, str],
 ) -> MarkerBinding:
     """Return the binding at given positions, with its confidence; see `propose_binding`.
 
@@ -242,7 +241,7 @@ def bind_at(
         places=places,
         confidence=confidence,
         distance_mm=fitted.away_mm,
-        sources=tuple((sources or {}).get(i, "proposed") for i in range(len(names))),
+        sources=tuple(sources.get(i, "proposed") for i in range(len(names))),
     )
 
 
@@ -262,8 +261,3 @@ def _distances_between(mesh: RigMesh, places: SurfacePoints, at: FloatArray) -> 
         metric="dijkstra-diagonals",
     ).between
     return np.where(np.isfinite(between), between, straight)
-
-
-def _three_of(names: tuple[str, ...]) -> str:
-    shown = [names[0], names[len(names) // 2], names[-1]]
-    return ",".join(f"{name}=POINT" for name in shown)

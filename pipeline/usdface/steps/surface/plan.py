@@ -64,7 +64,7 @@ def bind_take(
         positions=sample.positions.astype(np.float64),
         visible=sample.visible,
         rigid=sample.rigid,
-        pinned=pinned,
+        pins=pinned,
         sources=sources,
     )
 
