@@ -21,7 +21,6 @@ class SpokenLine:
     """`start`, `stop`: interval of the mood [s]."""
     speech: float
     """Start of the first sound [s]."""
-    text: str
     phones: tuple[tuple[str, int], ...]
     """ARPAbet phone and duration [ms], in order."""
     stresses: tuple[float, ...]
@@ -56,7 +55,7 @@ LINES = (
         0.0,
         3.8,
         0.75,
-        "Good morning, this is a very plain face.",
+        # Good morning, this is a very plain face.
         _phones(
             "G:70 UH:85 D:60 M:80 AO:130 R:80 N:60 IH:75 NG:110 SIL:190 DH:60 IH:75 S:80 IH:70 "
             "Z:70 AH:65 V:75 EH:85 R:75 IY:100 P:95 L:60 EY:150 N:90 F:110 EY:180 S:140"
@@ -68,7 +67,7 @@ LINES = (
         3.8,
         7.6,
         4.55,
-        "Oh wow, you made me a wonderful film!",
+        # Oh wow, you made me a wonderful film!
         _phones(
             "OW:210 SIL:70 W:90 AW:260 SIL:170 Y:70 UW:110 M:85 EY:110 D:65 M:75 IY:95 AH:60 "
             "W:80 AH:85 N:70 D:50 ER:80 F:85 AH:60 L:75 F:105 IH:110 L:85 M:140"
@@ -80,7 +79,7 @@ LINES = (
         7.6,
         11.2,
         8.3,
-        "No! Stop it. Move that back, now.",
+        # No! Stop it. Move that back, now.
         _phones(
             "N:85 OW:230 SIL:230 S:95 T:60 AA:140 P:90 IH:70 T:80 SIL:260 M:85 UW:110 V:75 DH:55 "
             "AE:95 T:60 B:80 AE:150 K:90 SIL:120 N:75 AW:280"
@@ -92,7 +91,7 @@ LINES = (
         11.2,
         14.6,
         11.95,
-        "Nobody came home before five.",
+        # Nobody came home before five.
         _phones(
             "N:85 OW:130 B:80 AA:125 D:60 IY:130 K:95 EY:140 M:110 HH:60 OW:190 M:120 SIL:110 "
             "B:80 IH:80 F:95 AO:130 R:90 F:110 AY:260 V:130"

@@ -80,7 +80,7 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     parts = pieces.parts[pieces.of_point]
     skin = parts == FacePart.SKIN
     links = _neighbours(meshes)
-    smooth = _average_neighbours(exposure, links, times=2)
+    smooth = _average_neighbours(exposure, links)
     inside = np.where(skin, smoothstep((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
     colors = palette[parts]
     bare = [mesh.colors is None and mesh.face_colors is None for mesh in meshes]
@@ -116,9 +116,9 @@ def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
     return links
 
 
-def _average_neighbours(values: FloatArray, links: Sparse, *, times: int) -> FloatArray:
-    """Average each point with its neighbours, against the noise of ray counts."""
+def _average_neighbours(values: FloatArray, links: Sparse) -> FloatArray:
+    """Average each point twice with its neighbours, against the noise of ray counts."""
     degree = np.maximum(np.asarray(links.sum(axis=1)).reshape(-1), 1)
-    for _ in range(times):
+    for _ in range(2):
         values = 0.5 * values + 0.5 * np.asarray(links @ values) / degree
     return values

@@ -210,10 +210,10 @@ def choose_spline_limit(
     frames, markers = visible.shape
     limit = 0
     for length in _TRIAL_LENGTHS:
+        if frames <= length + 2 * _END_SAMPLES:
+            return limit
         errors = np.zeros(2)
         for _ in range(_TRIAL_COUNT):
-            if frames <= length + 2 * _END_SAMPLES:
-                return limit
             start = int(rng.integers(_END_SAMPLES, frames - length - _END_SAMPLES))
             marker, stop = int(rng.integers(markers)), start + length
             window = slice(max(0, start - 4 * _END_SAMPLES), stop + 4 * _END_SAMPLES)
