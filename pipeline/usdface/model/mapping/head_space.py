@@ -53,6 +53,9 @@ _OFFSET_ERROR_SHARE = 0.25
 """Error of an offset, relative to that of the markers on skin: reapplied ones have 0.33 to 0.39
 (`poe bench real_sessions`), of which a part is common to all and changes no weights."""
 
+_PAIR_OFFSET_ERROR_SHARE = 0.08
+"""The same of an offset that keys of the take tell. Chosen on seven captures with five keys."""
+
 _ALIGNMENT_ROUNDS = 10
 """Iteratively reweighted alignments."""
 
@@ -210,11 +213,9 @@ def find_head_space(
         performer=performer,
         session=session,
     )
-    offset = neutral.offset
-    if by_pairs is not None:
-        offset = np.asarray(by_pairs.pair_offset)
-        size_mm = float(np.sqrt((offset**2).sum(axis=1).mean()))
-        neutral = replace(neutral, offset=np.zeros_like(offset), offset_mm=size_mm)
+    if by_pairs is not None and not neutral.offset.any():
+        size_mm = float(np.sqrt(np.square(by_pairs.pair_offset).sum(axis=1).mean()))
+        neutral = replace(neutral, offset_mm=size_mm)
     missing = tuple(name for name in face.marker_names if name not in markers.names)
     extra = tuple(name for name in markers.names if name not in face.marker_names)
     return HeadSpace(
@@ -226,7 +227,7 @@ def find_head_space(
         missing,
         extra,
         neutral,
-        _known_share(face, offset, slots),
+        _known_share(face, neutral.offset, aligned.pair_offset, slots),
         errors,
         aligned.moved_mm,
         aligned.pair_offset,
@@ -282,10 +283,15 @@ def _align_pairs(
     return _Alignment(rotation, shift, offset) if scatter_mm < MIN_OFFSET_MM else None
 
 
-def _known_share(face: PerformerFace, offset: FloatArray, shown: IntArray) -> FloatArray:
-    """Return `HeadSpace.known_share` of an offset, (markers, 3) [mm], of the markers `shown`."""
+def _known_share(
+    face: PerformerFace, offset: FloatArray, pair_offset: FloatArray | float, shown: IntArray
+) -> FloatArray:
+    """Return `HeadSpace.known_share` of the offsets of markers `shown`."""
     on_skin = shown[~np.isin(np.array(face.marker_names)[shown], face.rigid)]
-    error2 = _OFFSET_ERROR_SHARE**2 * (offset[on_skin] ** 2).sum() / max(len(on_skin), 1)
+    squared = (_OFFSET_ERROR_SHARE * offset) ** 2 + np.square(
+        _PAIR_OFFSET_ERROR_SHARE * pair_offset
+    )
+    error2 = squared[on_skin].sum() / max(len(on_skin), 1)
     motion2 = ((face.frames - face.neutral) ** 2).sum(axis=2).mean(axis=0)
     return np.asarray(np.clip(1 - error2 / np.maximum(motion2, 1e-9), 0.0, 1.0))
 
