@@ -53,8 +53,9 @@ _OFFSET_ERROR_SHARE = 0.25
 """Error of an offset, relative to that of the markers on skin: reapplied ones have 0.33 to 0.39
 (`poe bench real_sessions`), of which a part is common to all and changes no weights."""
 
-_PAIR_OFFSET_ERROR_SHARE = 0.08
-"""The same of an offset that keys of the take tell. Chosen on seven captures with five keys."""
+_PAIR_OFFSET_ERROR_SHARE = 0.36
+"""The same of an offset that one reference pair of the take tells; of n pairs, over sqrt(n)
+(decision 62)."""
 
 _ALIGNMENT_ROUNDS = 10
 """Iteratively reweighted alignments."""
@@ -150,6 +151,8 @@ class _Alignment(NamedTuple):
     """As of `HeadSpace`."""
     moved_mm: float = 0.0
     """As of `HeadSpace`."""
+    pairs: int = 0
+    """Number of the take's reference pairs by which it is aligned."""
 
 
 def find_head_space(
@@ -227,7 +230,7 @@ def find_head_space(
         missing,
         extra,
         neutral,
-        _known_share(face, neutral.offset, aligned.pair_offset, slots),
+        _known_share(face, neutral.offset, aligned, slots),
         errors,
         aligned.moved_mm,
         aligned.pair_offset,
@@ -280,18 +283,18 @@ def _align_pairs(
     offset = middle - (target - shift) @ rotation
     away = positions[rows] - offset - (markers[pairs] - shift) @ rotation
     scatter_mm = np.sqrt((away**2).sum(axis=2).mean())
-    return _Alignment(rotation, shift, offset) if scatter_mm < MIN_OFFSET_MM else None
+    aligned = _Alignment(rotation, shift, offset, pairs=len(rows))
+    return aligned if scatter_mm < MIN_OFFSET_MM else None
 
 
 def _known_share(
-    face: PerformerFace, offset: FloatArray, pair_offset: FloatArray | float, shown: IntArray
+    face: PerformerFace, offset: FloatArray, aligned: _Alignment, shown: IntArray
 ) -> FloatArray:
     """Return `HeadSpace.known_share` of the offsets of markers `shown`."""
     on_skin = shown[~np.isin(np.array(face.marker_names)[shown], face.rigid)]
-    squared = (_OFFSET_ERROR_SHARE * offset) ** 2 + np.square(
-        _PAIR_OFFSET_ERROR_SHARE * pair_offset
-    )
-    error2 = squared[on_skin].sum() / max(len(on_skin), 1)
+    by_pairs = _PAIR_OFFSET_ERROR_SHARE / max(aligned.pairs, 1) ** 0.5
+    error = np.hypot(_OFFSET_ERROR_SHARE * offset, by_pairs * aligned.pair_offset)
+    error2 = (error[on_skin] ** 2).sum() / max(len(on_skin), 1)
     motion2 = ((face.frames - face.neutral) ** 2).sum(axis=2).mean(axis=0)
     return np.asarray(np.clip(1 - error2 / np.maximum(motion2, 1e-9), 0.0, 1.0))
 
