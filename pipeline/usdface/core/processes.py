@@ -80,8 +80,8 @@ def worker_processes(
     """Start processes with the first work, and end them with the block.
 
     They are spawned, since a fork would copy locks of the ray tracer and of codecs. Ctrl+C reaches
-    this process alone; if the block raises, the others end within a second. They also end
-    if this process is killed.
+    this process alone; if the block raises, the others end within a second. They end if this
+    process is killed, too.
 
     `set_up`: called once in each, with the given arguments and a function that returns whether to
     stop.
@@ -91,7 +91,7 @@ def worker_processes(
     pool = ProcessPoolExecutor(
         count,
         mp_context=context,
-        initializer=partial(_start, set_up),
+        initializer=partial(_set_up_worker, set_up),
         initargs=(*given, stop.is_set),
     )
 
@@ -113,8 +113,8 @@ def worker_processes(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _start(set_up: Callable[..., None], *given: object) -> None:
-    """Set up this worker. Its pipes stay open without a parent, since it holds both ends."""
+def _set_up_worker(set_up: Callable[..., None], *given: object) -> None:
+    """Set up this process, which holds both ends of its pipes, so that they outlive the parent."""
     Thread(target=_end_with_parent, daemon=True).start()
     set_up(*given)
 
