@@ -6,6 +6,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from itertools import cycle
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,12 +38,11 @@ def run() -> None:
     deformer = Deformer(rig)
     renderer = FaceRenderer(rig.meshes)
     camera = frame_rig(rig.meshes, yaw_degrees=12)
-    weights = np.random.default_rng(0).uniform(0, 0.6, (1, len(rig.shapes)))
-    posed = deformer.points(weights)[0]
+    poses = cycle(_poses(rig))
 
     def draw(size: int, quality: Quality) -> Callable[[], object]:
         return lambda: renderer.render(
-            posed, camera=camera, width=size, height=size, quality=quality
+            next(poses), camera=camera, width=size, height=size, quality=quality
         )
 
     print(f"On {name}: {renderer.point_count:,} points.\n")
@@ -83,9 +83,9 @@ class _Spent:
 
 def _draw_some(count: int) -> _Spent:
     """Draw faces in a separate process."""
-    renderer, camera, posed = _scene()
+    renderer, camera, poses = _scene()
     cpu, wall = time.process_time(), time.perf_counter()
-    for _ in range(count):
+    for posed in poses[:count]:
         renderer.render(posed, camera=camera, width=512, height=512, quality="final")
     return _Spent(time.process_time() - cpu, time.perf_counter() - wall)
 
@@ -93,9 +93,13 @@ def _draw_some(count: int) -> _Spent:
 @cache
 def _scene() -> tuple[FaceRenderer, Camera, FloatArray]:
     rig, _ = _rig()
-    weights = np.full((1, len(rig.shapes)), 0.3)
-    camera = frame_rig(rig.meshes, yaw_degrees=12)
-    return FaceRenderer(rig.meshes), camera, Deformer(rig).points(weights)[0]
+    return FaceRenderer(rig.meshes), frame_rig(rig.meshes, yaw_degrees=12), _poses(rig)
+
+
+def _poses(rig: Rig) -> FloatArray:
+    """Return the points of different expressions, as a renderer remembers the last one drawn."""
+    weights = np.random.default_rng(0).uniform(0, 0.6, (SCALED, len(rig.shapes)))
+    return Deformer(rig).points(weights)
 
 
 def _print_report(rig: Rig, name: str) -> None:
