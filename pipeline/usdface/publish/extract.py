@@ -129,8 +129,8 @@ def _extract(
         baked = execute(bake, progress=part(progress, 0.0, 0.3))
     published = PerformanceReader(opened)
     replaced = replaced_motion_notes(published.stage, published.animation)
-    held = driving_notes(item.performance)  # of layers that a version holds as well
-    for note in (*(each for each in baked.notes if each not in held), *replaced):
+    published_too = driving_notes(item.performance)  # a version has these layers as well
+    for note in (*(each for each in baked.notes if each not in published_too), *replaced):
         log.warning("%s: %s", opened.name, note)
     files = {"performance": opened.name, "weights": bake.out.name}
     driving = {"head": head_path(opened), "controls": controls_path(opened)}

@@ -26,11 +26,11 @@ def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress) -> Ste
             progress=part(progress, 0.0, 0.7),
         )
         write_package(temporary, reader, baked, provenance=provenance)
-    held = bake.driving_notes(spec.performance)  # of layers that are packed as well
+    packed_too = bake.driving_notes(spec.performance)  # a package has these layers as well
     size = spec.out.stat().st_size / 1e6
     return StepResult(
         (spec.out,),
         f"{report.summary}; {size:.1f} MB",
-        tuple(note for note in report.notes if note not in held),
+        tuple(note for note in report.notes if note not in packed_too),
         {"bytes": spec.out.stat().st_size, "frames": report.figures["frames"]},
     )
