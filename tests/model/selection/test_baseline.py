@@ -11,7 +11,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.core.deformer import Deformer
 from usdface.model.retarget.cyclic import SurfaceMetric
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.numerics.registration.virtual_markers import VirtualMarkers, find_pose_errors
+from usdface.numerics.registration.virtual_markers import VirtualMarkers, motion_by_rig
 from usdface.numerics.solve.blendshape_equation import MarkerKeys
 from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 
@@ -108,10 +108,8 @@ def test_errors_of_poses_are_removed_from_proposals_and_residuals() -> None:
     turns, moves = rng.normal(0, 0.03, (200, 1, 3)), rng.normal(0, 2, (200, 1, 3))
     slipped = still + np.cross(turns, equation.neutral - equation.neutral.mean(axis=0)) + moves
     seen = np.ones(slipped.shape[:2], np.bool_)
-    errors = find_pose_errors(
-        equation.virtual, equation.deltas, equation.neutral, slipped, visible=seen, rigid=()
-    )
-    corrected = replace(equation, pose_errors=errors)
+    motion = motion_by_rig(equation.virtual, equation.deltas, equation.neutral, rigid=())
+    corrected = replace(equation, pose_errors=motion.find_errors(slipped, seen))
     wrong, found = (np.abs(e.propose(slipped) - weights).mean() for e in (equation, corrected))
     assert found < 0.5 * wrong
     wrong, found = (e.residual_mm(slipped, weights).mean() for e in (equation, corrected))

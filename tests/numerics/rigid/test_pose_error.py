@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -253,3 +254,52 @@ def test_a_mapping_without_a_rig_removes_nothing() -> None:
     )
     assert face_of_mapping(mapping).expressions is None
     assert find_head_space(face_of_mapping(mapping), markers_of(made), rate=60).pose_errors is None
+
+
+def _faces_moved(expressions: ExpressionMotion, count: int) -> np.ndarray:
+    """Return displacements drawn from the distribution, (count, markers, 3) [mm]."""
+    rng = np.random.default_rng(5)
+    scores = rng.standard_normal((count, len(expressions.components)))
+    variance = pose_error._NOISE_MM**2 + pose_error._DEPARTURE_SHARE**2 * expressions.motion2
+    own = rng.standard_normal((count, MARKERS, 3)) * np.sqrt(variance)[:, None]
+    return np.tensordot(scores, expressions.components, 1) + own
+
+
+def _aligned_size_mm(
+    expressions: ExpressionMotion, moved: np.ndarray, markers: np.ndarray
+) -> float:
+    """Return the displacement of all markers by NumPy's least squares over some of them [mm]."""
+    rigid = expressions.rigid
+    system = rigid[:, markers].reshape(6, -1).T
+    pose = np.linalg.lstsq(system, moved[:, markers].reshape(len(moved), -1).T)[0]
+    displaced = np.tensordot(pose.T, rigid, 1)
+    return float(np.sqrt((displaced**2).sum(axis=2).mean()))
+
+
+def test_error_of_an_alignment_is_that_of_drawn_expressions() -> None:
+    expressions = model(acted(0, 0)[0])
+    moved = _faces_moved(expressions, 20_000)
+    for markers in (np.arange(6), np.arange(3, 20), BAND):
+        expected = _aligned_size_mm(expressions, moved, markers)
+        assert expressions.alignment_error_mm(markers) == pytest.approx(expected, rel=0.03)
+
+
+def test_steadiest_markers_are_nearly_the_best_of_all_sets() -> None:
+    expressions = model(acted(0, 0)[0])
+    some = np.arange(0, 26, 3)  # of nine markers, all sets of five or more are tried
+    every = [
+        np.array(chosen)
+        for count in range(5, len(some) + 1)
+        for chosen in combinations(some.tolist(), count)
+    ]
+    best = min(map(expressions.alignment_error_mm, every))
+    found = expressions.steadiest_markers(np.isin(np.arange(MARKERS), some))
+    assert set(found) <= set(some.tolist())
+    assert expressions.alignment_error_mm(found) < 1.1 * best
+    assert best < 0.8 * expressions.alignment_error_mm(some)
+
+
+def test_markers_that_no_expression_moves_are_the_steadiest() -> None:
+    expressions = model(acted(0, 0)[0])
+    found = expressions.steadiest_markers(np.ones(MARKERS, bool))
+    assert np.isin(BAND, found).sum() >= 3

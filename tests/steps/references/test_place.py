@@ -20,6 +20,7 @@ from usdface.steps.inputs.cleaned_takes import (
     read_cleaned_takes,
     spread_frames,
 )
+from usdface.steps.inputs.placed_takes import PlacementScene
 from usdface.steps.inputs.placement import (
     placed_equation,
     read_performer_markers,
@@ -235,3 +236,45 @@ def test_a_rig_that_stands_on_its_head_is_refused_and_nothing_is_written(shot: S
     with pytest.raises(InputError, match="the head lies"):
         execute(spec(shot, rig=shot / "fallen.usdc", out=shot / "fallen.placement.usda"))
     assert not (shot / "fallen.placement.usda").exists()
+
+
+def test_takes_stabilised_by_skin_are_aligned_by_markers_that_the_rig_moves_less(
+    shot: Shot,
+) -> None:
+    execute(spec(shot))
+    rig = read_rig(shot / "hero.usdc", prim=None)
+    placement = read_placement(shot / "hero.placement.usda", rig)
+    takes = read_cleaned_takes((shot / "shot.clean.take.usda",))
+    assert PlacementScene(takes, rig).find_steadier(placement) == ((), "")
+    at = np.array([places(shot / "hero.placement.usda", rig)[n] for n in takes.marker_names])
+    lowest = np.argsort(at[:, 1])[:8]
+    by_jaw = takes.aligned_by(tuple(takes.marker_names[marker] for marker in lowest))
+    steadier, note = PlacementScene(by_jaw, rig).find_steadier(placement)
+    skull = [takes.marker_names.index(name) for name in takes.rigid]
+    wrong, right = (
+        (each.positions[0] - takes.positions[0])[:, skull].std()
+        for each in (by_jaw, by_jaw.aligned_by(steadier))
+    )
+    assert right < 0.2 * wrong
+    assert "are on skin" in note
+
+
+def test_place_and_select_say_that_they_aligned_the_takes(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    execute(spec(shot))
+    takes = read_cleaned_takes((shot / "shot.clean.take.usda",))
+    found = iter([(takes.marker_names[:6], "aligned by others"), ((), "")])
+    monkeypatch.setattr(PlacementScene, "find_steadier", lambda *_: next(found))
+    report = execute(
+        SelectSpec(
+            takes=(shot / "shot.clean.take.usda",),
+            rig=shot / "hero.usdc",
+            count=8,
+            out=shot / "aligned.references.usda",
+            placement=shot / "hero.placement.usda",
+        )
+    )
+    assert "aligned by others" in report.notes
+    references = read_references(shot / "aligned.references.usda")
+    assert references.rigid == takes.marker_names[:6]

@@ -19,7 +19,7 @@ from usdface.model.placement.placement_candidates import (
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import KnownPlace
-from usdface.numerics.registration.virtual_markers import VirtualMarkers, find_pose_errors
+from usdface.numerics.registration.virtual_markers import VirtualMarkers, motion_by_rig
 from usdface.numerics.rigid.pose_error import PoseErrors
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 
@@ -132,14 +132,13 @@ def pose_errors_at(
 ) -> PoseErrors:
     """Return the errors of the takes' poses, for markers at `samples` (markers,) of the skin."""
     positions = cloud.neutral + cloud.motion
-    return find_pose_errors(
+    expressions = motion_by_rig(
         virtual,
         skin.from_frame(skin.deltas[:, samples]),
         cloud.neutral,
-        positions,
-        visible=np.ones(positions.shape[:2], np.bool_),
         rigid=np.flatnonzero(cloud.still).tolist(),
     )
+    return expressions.find_errors(positions, np.ones(positions.shape[:2], np.bool_))
 
 
 def _place(

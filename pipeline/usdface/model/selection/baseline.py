@@ -22,8 +22,8 @@ from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
     certain_errors,
     character_motion,
-    find_pose_errors,
     marker_deltas,
+    motion_by_rig,
 )
 from usdface.numerics.rigid.pose_error import PoseErrors
 from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
@@ -234,11 +234,8 @@ def equation_at(
     trust = np.ones(len(neutral))
     trust[list(performer.rigid)] = 0.0
     full = range_ends(rig.ranges)[:, None, None] * deltas
-    errors = certain_errors(
-        find_pose_errors(
-            virtual, full, neutral, positions[picks], visible=visible[picks], rigid=performer.rigid
-        )
-    )
+    expressions = motion_by_rig(virtual, full, neutral, rigid=performer.rigid)
+    errors = certain_errors(expressions.find_errors(positions[picks], visible[picks]))
     motion = character_motion(virtual, errors.remove(positions[picks], visible[picks]), neutral)
     lids = find_lid_evidence(
         rig.shapes,

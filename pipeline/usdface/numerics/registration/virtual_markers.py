@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from usdface.numerics.rigid.pose_error import PoseErrors, expression_motion
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.numerics.rigid.pose_error import ExpressionMotion, PoseErrors, expression_motion
 
 LARGEST_NOISE_SCALE = 10.0
 """Noise scale from which a placement is wrong, or the rig lacks shapes of a part: of unlabelled
@@ -72,33 +72,23 @@ def character_motion(
     return np.asarray(virtual.motion_scale * (moved @ virtual.rotation.T), float)
 
 
-def find_pose_errors(
-    virtual: VirtualMarkers,
-    deltas: FloatArray,
-    neutral: FloatArray,
-    positions: RealArray,
-    *,
-    visible: BoolArray,
-    rigid: Sequence[int],
-) -> PoseErrors:
-    """Return the errors of the poses of takes whose markers are at `virtual` on a character.
+def motion_by_rig(
+    virtual: VirtualMarkers, deltas: FloatArray, neutral: FloatArray, *, rigid: Sequence[int]
+) -> ExpressionMotion:
+    """Return the distribution of the displacements of markers at `virtual` on a character.
 
     Parameters
     ----------
     deltas : (shapes, markers, 3) float array
         Displacements of the virtual markers by each shape in full [mm].
     neutral : (markers, 3) float array
-    positions : (frames, markers, 3) float array
-        Stabilised, in the space of `neutral` [mm].
-    visible : (frames, markers) bool array
+        [mm]
     rigid : sequence of int
         Markers at which the stabilisation leaves no error.
     """
     basis = deltas @ virtual.rotation / virtual.motion_scale
-    expressions = expression_motion(
-        basis, np.zeros((0, len(basis))), neutral, rigid=np.array(rigid, np.int64)
-    )
-    return expressions.find_errors(positions, visible)
+    unknown = np.zeros((0, len(basis)))
+    return expression_motion(basis, unknown, neutral, rigid=np.array(rigid, np.int64))
 
 
 def certain_errors(errors: PoseErrors) -> PoseErrors:

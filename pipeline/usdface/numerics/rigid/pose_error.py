@@ -66,6 +66,11 @@ _MAXIMISATION_ROUNDS = 30
 """Rounds of expectation maximisation; errors of 0.3 mm have converged after ten."""
 _LEAST_MM = 0.2
 """Error that is removed, at the markers: less is no more than what a good head band leaves."""
+_FEWEST_STEADY = 5
+"""Markers of an alignment: of four, a swapped one cannot be told."""
+_LEFT_OUT_AT_ONCE = 40
+"""[of the markers left] One of so many is left out at once, so that a thousand markers take
+some seconds."""
 _FEWEST_FRAMES = 24
 """With fewer, the covariance of the errors is not known."""
 _LEAST_RATIO = 2.0
@@ -169,6 +174,49 @@ class ExpressionMotion:
         """Return the root mean square displacement of the markers by p ~ N(0, covariance) [mm]."""
         squares = np.einsum("pmc,qmc,pq->m", self.rigid, self.rigid, covariance)
         return float(np.sqrt(squares.mean()))
+
+    def alignment_error_mm(self, markers: IntArray) -> float:
+        """Return the expected error of poses by rigid alignment with some markers [mm].
+
+        As `size_mm`: the least squares estimate of p takes their expressions for head motion.
+        """
+        normal, cross, noise = (each[markers].sum(axis=0) for each in self._moments)
+        return float(np.sqrt(self._alignment_error2(normal, cross, noise)))
+
+    def steadiest_markers(self, candidates: BoolArray) -> IntArray:
+        """Return the markers whose rigid alignment has the least expected error.
+
+        By backward elimination among `candidates`, (markers,): the markers without which the error
+        is least are left out, as long as five are left.
+        """
+        normal, cross, noise = self._moments
+        left = np.flatnonzero(candidates)
+        best, least = left, np.inf
+        while len(left) >= _FEWEST_STEADY:
+            error_mm = self.alignment_error_mm(left)
+            if error_mm < least:
+                best, least = left, error_mm
+            without = (each[left].sum(axis=0) - each[left] for each in (normal, cross, noise))
+            order = np.argsort(self._alignment_error2(*without), kind="stable")
+            left = np.delete(left, order[: max(1, len(left) // _LEFT_OUT_AT_ONCE)])
+        return best
+
+    @cached_property
+    def _moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return ``P_k P_k'``, ``P_k B_k'`` and ``nu_k P_k P_k'`` of each marker."""
+        rigid, moved = self.rigid.transpose(1, 0, 2), self.components.transpose(1, 2, 0)
+        normal = rigid @ rigid.transpose(0, 2, 1)
+        variance = _NOISE_MM**2 + _DEPARTURE_SHARE**2 * self.motion2
+        return normal, rigid @ moved, variance[:, None, None] * normal
+
+    def _alignment_error2(
+        self, normal: FloatArray, cross: FloatArray, noise: FloatArray
+    ) -> FloatArray:
+        """Return the mean square displacement by errors of alignment, for sums of `_moments`."""
+        inverse = np.linalg.inv(normal)
+        response = inverse @ cross
+        covariance = response @ np.swapaxes(response, -1, -2) + inverse @ noise @ inverse
+        return np.asarray((covariance * self._moments[0].mean(axis=0)).sum(axis=(-2, -1)))
 
     def to_arrays(self) -> Arrays:
         """Return the distribution as arrays of a mapping."""

@@ -17,6 +17,7 @@ from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.model.placement.rig_orientation import check_rig_upright, covered_face_notes
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID
+from usdface.numerics.rigid.rigid_template import RigidTemplate
 from usdface.usdio.take.read import TakeReader, read_take
 
 
@@ -146,6 +147,14 @@ class CleanedTakes:
         """Find the transform from the common head space of the takes to that of a face."""
         rows = sample_frames(len(self.frames), _HEAD_SPACE_FRAMES)
         return _head_space(face, self.markers_at(rows), rows, self.sources[0])
+
+    def aligned_by(self, rigid: tuple[str, ...]) -> "CleanedTakes":
+        """Return the takes with the head motion of their frames removed by other markers."""
+        columns = np.array([self.marker_names.index(name) for name in rigid], np.int64)
+        template = RigidTemplate(columns, self.neutral[columns])
+        clips = zip(self.positions, self.usable, strict=True)
+        positions = tuple(template.align(clip, seen) for clip, seen in clips)
+        return replace(self, rigid=rigid, positions=positions)
 
     def new_references(self, rig: Rig, rows: IntArray, weights: FloatArray) -> References:
         """Return pairs at rows of all frames, with weights to be tuned, (rows, shapes)."""

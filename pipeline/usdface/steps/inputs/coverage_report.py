@@ -199,7 +199,7 @@ def measure_pairs(
 
 
 def _with_markers_of(takes: CleanedTakes, references: References, file: Path) -> CleanedTakes:
-    """Return takes with only the markers of the references."""
+    """Return takes with only the markers of the references, aligned by the rigid ones of these."""
     columns = [i for i, name in enumerate(takes.marker_names) if name in references.marker_names]
     names = tuple(takes.marker_names[i] for i in columns)
     rigid = tuple(name for name in takes.rigid if name in names)
@@ -210,13 +210,14 @@ def _with_markers_of(takes: CleanedTakes, references: References, file: Path) ->
             "rigid ones are needed. Give takes of the marker set that the references were selected "
             "from"
         )
-    if len(names) == len(takes.marker_names):
-        return takes
-    return replace(
-        takes,
-        marker_names=names,
-        rigid=rigid,
-        neutral=takes.neutral[columns],
-        positions=tuple(clip[:, columns] for clip in takes.positions),
-        usable=tuple(clip[:, columns] for clip in takes.usable),
-    )
+    if len(names) < len(takes.marker_names):
+        takes = replace(
+            takes,
+            marker_names=names,
+            rigid=rigid,
+            neutral=takes.neutral[columns],
+            positions=tuple(clip[:, columns] for clip in takes.positions),
+            usable=tuple(clip[:, columns] for clip in takes.usable),
+        )
+    steady = tuple(name for name in references.rigid if name in names)
+    return takes if set(steady) == set(takes.rigid) else takes.aligned_by(steady)

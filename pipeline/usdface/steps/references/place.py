@@ -1,5 +1,7 @@
 """Place the markers of takes on a rig, with a verdict and a picture."""
 
+from functools import partial
+
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import binding_layers
@@ -9,9 +11,10 @@ from usdface.runner.result import StepResult
 from usdface.specs.references import PlaceSpec
 from usdface.steps.inputs.cleaned_takes import plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.landmark_files import read_landmarks
-from usdface.steps.inputs.placement import (
+from usdface.steps.inputs.placed_takes import (
     PlacementScene,
     draw_placement,
+    place_takes,
     placement_figures,
     placement_notes,
 )
@@ -26,7 +29,8 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress) -> StepR
     notes = plausibility_notes(takes, spec.takes, rig)
     landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
     progress(0.2, "placing the markers on the rig")
-    placed = PlacementScene(takes, rig).place(out=spec.out, landmarks=landmarks)
+    placing = partial(PlacementScene.place, out=spec.out, landmarks=landmarks)
+    takes, placed, moved = place_takes(takes, rig, placing)
     write_placement(spec.out, placed.placement, rig, provenance=provenance)
     if spec.picture is not None:
         progress(0.7, f"drawing {spec.picture.name}")
@@ -37,6 +41,6 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress) -> StepR
         (*binding_layers(spec.out), *spec.paths_of("picture")),
         f"{pluralize(len(takes.marker_names), 'marker')} on {rig.file.name}. "
         f"{placed.verdict.sentence}",
-        (*notes, *placement_notes(placed)),
+        (*notes, *moved, *placement_notes(placed)),
         placement_figures(placed),
     )

@@ -1,6 +1,8 @@
 """Choose reference frames and propose weights for them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,14 +38,15 @@ from usdface.steps.inputs.coverage_report import (
 )
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
-from usdface.steps.inputs.placement import (
+from usdface.steps.inputs.placed_takes import (
     PlacedTakes,
     PlacementScene,
     draw_placement,
+    place_takes,
     placement_figures,
     placement_notes,
-    read_placement_of,
 )
+from usdface.steps.inputs.placement import read_placement_of
 from usdface.steps.inputs.scene import (
     SelectionScene,
     candidate_frames,
@@ -113,12 +116,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress) -> Step
     rig = read_rig(spec.rig, prim=spec.prim)
     warnings = plausibility_notes(takes, spec.takes, rig)
     progress(0.1, "placing the markers on the rig")
-    if spec.placement is not None:
-        stored = read_placement_of(spec.placement, rig, takes.marker_names, takes.neutral)
-        placed = PlacementScene(takes, rig).judge(stored)
-    else:
-        landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
-        placed = PlacementScene(takes, rig).place(out=placement_path(spec.out), landmarks=landmarks)
+    takes, placed, moved = place_takes(takes, rig, _placing(spec, takes, rig))
+    warnings += moved
     selection = _set_up(spec, takes, rig, placed.placement, progress)
     progress(0.5, "choosing frames")
     choice = _choose(selection)
@@ -135,6 +134,17 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress) -> Step
     progress(0.9, "measuring the coverage")
     coverage = _measure_coverage(selection, rows, provenance)
     return _result(selection, placed, choice, references, images, coverage, warnings)
+
+
+def _placing(
+    spec: SelectSpec, takes: CleanedTakes, rig: Rig
+) -> Callable[[PlacementScene], PlacedTakes]:
+    """Return what places the takes' markers: the stored placement, or labels and motion."""
+    if spec.placement is not None:
+        stored = read_placement_of(spec.placement, rig, takes.marker_names, takes.neutral)
+        return partial(PlacementScene.judge, placement=stored)
+    landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
+    return partial(PlacementScene.place, out=placement_path(spec.out), landmarks=landmarks)
 
 
 def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress) -> StepResult:
