@@ -303,3 +303,12 @@ def test_markers_that_no_expression_moves_are_the_steadiest() -> None:
     expressions = model(acted(0, 0)[0])
     found = expressions.steadiest_markers(np.ones(MARKERS, bool))
     assert np.isin(BAND, found).sum() >= 3
+
+
+def test_collinear_and_missing_markers_do_not_tell_the_pose() -> None:
+    expressions = model(acted(0, 0)[0])
+    line = replace(expressions, neutral=expressions.neutral * [1.0, 0.0, 0.0])
+    assert line.alignment_error_mm(np.arange(MARKERS)) == np.inf
+    for few in (0, 2):
+        assert expressions.alignment_error_mm(np.arange(few)) == np.inf
+    assert not len(expressions.steadiest_markers(np.zeros(MARKERS, bool)))

@@ -212,11 +212,17 @@ class ExpressionMotion:
     def _alignment_error2(
         self, normal: FloatArray, cross: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return the mean square displacement by errors of alignment, for sums of `_moments`."""
-        inverse = np.linalg.inv(normal)
+        """Return the mean square displacement by errors of alignment, for sums of `_moments`.
+
+        Infinite where the markers are fewer than three, or collinear.
+        """
+        determined = np.linalg.matrix_rank(normal, hermitian=True) == len(_START)
+        unit = np.eye(len(_START))
+        inverse = np.linalg.inv(np.where(determined[..., None, None], normal, unit))
         response = inverse @ cross
         covariance = response @ np.swapaxes(response, -1, -2) + inverse @ noise @ inverse
-        return np.asarray((covariance * self._moments[0].mean(axis=0)).sum(axis=(-2, -1)))
+        squares = (covariance * self._moments[0].mean(axis=0)).sum(axis=(-2, -1))
+        return np.where(determined, squares, np.inf)
 
     def to_arrays(self) -> Arrays:
         """Return the distribution as arrays of a mapping."""

@@ -48,10 +48,10 @@ _LARGE_ERROR_MM, _STEADIER_SHARE = 1.2, 0.5
 than this share of it. Three markers of a band and one on skin have 0.3 to 1.1 mm."""
 
 _LEAST_GAIN = 0.005
-"""Gain of the mean logarithm of the density, per degree of freedom, for which others are used."""
+"""Gain of the mean logarithm of the motion's density, per degree of freedom, for which they are."""
 
 _ALIGNMENT_ROUNDS = 3
-"""Placements, each of takes that are aligned by the markers that move least by the last one."""
+"""Placements at most, each after the takes are aligned by the last one."""
 
 _LEAST_SEEN = 0.5
 """[of the frames] In which a marker must be seen to align them."""
@@ -128,11 +128,12 @@ class PlacementScene:
     def find_steadier(self, placement: RigPlacement) -> tuple[tuple[str, ...], str]:
         """Return the markers that tell the head's pose best by the rig, and a note.
 
-        None, if the takes' rigid markers do not move, as those of a head band, or if the takes show
-        that the rig's expressions are not more probable.
+        Empty if the takes' rigid markers do not move, as those of a head band, and if the takes'
+        motion is not more probable by the rig once they are aligned by the others.
         """
-        names = self._takes.marker_names
-        rigid = np.array([names.index(name) for name in self._takes.rigid], np.int64)
+        names, share_seen = self._takes.marker_names, self._usable.mean(axis=0)
+        columns = [names.index(name) for name in self._takes.rigid]
+        rigid = np.array([marker for marker in columns if share_seen[marker]], np.int64)
         if _motion_mm(self._sample[:, rigid], self._usable[:, rigid]) < _STILL_MM:
             return (), ""
         virtual = virtual_markers(placement, names, self._cloud.neutral)
@@ -140,16 +141,17 @@ class PlacementScene:
         full = range_ends(self._rig.ranges)[:, None, None] * deltas
         expressions = motion_by_rig(virtual, full, self._cloud.neutral, rigid=())
         placed = np.array([name in rows_by_name(placement) for name in names])
-        seen = self._usable.mean(axis=0) >= _LEAST_SEEN
-        steady = expressions.steadiest_markers(placed & seen)
+        steady = expressions.steadiest_markers(placed & (share_seen >= _LEAST_SEEN))
         before, after = map(expressions.alignment_error_mm, (rigid, steady))
         if before < _LARGE_ERROR_MM or after > _STEADIER_SHARE * before:
             return (), ""
         usable = self._usable & placed
         template = RigidTemplate(steady, self._cloud.neutral[steady])
         aligned = template.align(self._sample.astype(np.float32), self._usable)
-        gain = expressions.find_errors(aligned, usable).evidence
-        if gain - expressions.find_errors(self._sample, usable).evidence < _LEAST_GAIN:
+        now, then = (
+            expressions.find_errors(each, usable).evidence for each in (self._sample, aligned)
+        )
+        if then - now < _LEAST_GAIN:
             return (), ""
         found = tuple(names[marker] for marker in steady)
         return found, (
