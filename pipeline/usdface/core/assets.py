@@ -69,7 +69,8 @@ class Markers(_Asset):
     names: tuple[str, ...]
     """One label per marker, unique."""
     positions: Float32Array
-    """(frames, markers, 3) [mm], Y up. The last good position where not visible, never NaN."""
+    """(frames, markers, 3) [mm], Y up. Where not visible, the last good position or, once cleaned,
+    the prediction from the other markers; never NaN."""
     visible: BoolArray
     """(frames, markers): whether the capture measured the marker."""
     confidence: Float32Array

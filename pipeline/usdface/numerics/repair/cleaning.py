@@ -14,7 +14,6 @@ from usdface.core.arrays import (
     IntArray,
     distances,
     frame_blocks,
-    hold_last_seen,
     median_places,
     medians_where,
     sample_frames,
@@ -57,8 +56,8 @@ class CleanedMarkers:
     """Markers without head motion, and a record of the repairs."""
 
     positions: Float32Array
-    """(frames, markers, 3) [mm] Stabilised. Gaps that are not filled repeat the last good
-    position."""
+    """(frames, markers, 3) [mm] Stabilised. Gaps that are not filled have the prediction from
+    the other markers."""
     visible: BoolArray
     """(frames, markers): measured or filled; False only in gaps that are not filled."""
     confidence: Float32Array
@@ -168,7 +167,6 @@ def clean_markers(
         progress(0.8, "noise")
         smooth_take(take.positions, model, noise=noise)
     known = good | gaps.filled
-    hold_last_seen(take.positions, known)
     progress(1.0, "clean")
     return CleanedMarkers(
         positions=take.positions,

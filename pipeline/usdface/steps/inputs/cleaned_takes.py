@@ -1,5 +1,6 @@
 """Read cleaned takes of one performer in a common marker order and head space."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,6 +65,8 @@ def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
 
 _HEAD_SPACE_FRAMES = 2000
 """Frames used to find the head space of several takes, evenly spread."""
+_LEAST_SEEN = 0.5
+"""[of the frames] In which a marker must be usable: pairs have its prediction in the others."""
 _COMPARED_FRAMES = 20_000
 """Frames of a take that are compared with those before it; their median has 1 % of the noise."""
 
@@ -73,7 +76,7 @@ class CleanedTakes:
     """Several takes with common markers, concatenated."""
 
     marker_names: tuple[str, ...]
-    """The markers that every take has."""
+    """The markers that every take has, seen in half of the frames or more."""
     rigid: tuple[str, ...]
     neutral: FloatArray
     """(markers, 3): neutral face of the first take [mm]."""
@@ -87,7 +90,7 @@ class CleanedTakes:
     takes: tuple[str, ...]
     """Name of the take of each frame."""
     dropped: tuple[str, ...]
-    """Markers that some take lacks."""
+    """Markers that some take lacks, or that are seen in less than half of the frames."""
     sources: tuple[Take, ...]
     """The takes without their samples."""
     neutrals: tuple[TakeNeutral, ...]
@@ -215,7 +218,12 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     check_take_names(paths, takes)
     _check_performers(paths, takes)
     clouds = [take.markers for take in takes if take.markers is not None]
-    shared = set.intersection(*(set(cloud.names) for cloud in clouds))
+    common = set.intersection(*(set(cloud.names) for cloud in clouds))
+    seen = Counter[str]()
+    for cloud in clouds:
+        seen.update(dict(zip(cloud.names, cloud.usable.sum(axis=0).tolist(), strict=True)))
+    least = _LEAST_SEEN * sum(len(cloud.positions) for cloud in clouds)
+    shared = {name for name in common if seen[name] >= least}
     names = tuple(name for name in clouds[0].names if name in shared)
     every = dict.fromkeys(name for cloud in clouds for name in cloud.names)
     rigid = tuple(name for name in names if name in clouds[0].rigid)

@@ -27,7 +27,8 @@ def selection_notes(
     notes, dropped = list(spoken.notes), takes.dropped
     if dropped:
         notes.append(
-            f"left out {pluralize(len(dropped), 'marker')}, not in every take: {first_few(dropped)}"
+            f"left out {pluralize(len(dropped), 'marker')}, not in every take or seen in less than "
+            f"half of the frames: {first_few(dropped)}"
         )
     usable = np.flatnonzero(takes.usable[0].all(axis=1))
     better = find_better_neutral(scene.equation, takes.positions[0], usable)
