@@ -180,6 +180,24 @@ def test_few_labels_do_not_say_where_the_other_markers_lie() -> None:
     assert f"unless {len(lids) - sum(lids)} without such a label cover it" in finding.message
 
 
+@pytest.mark.parametrize(
+    ("labels", "at"),
+    [
+        ("a b c", [[0, 0, 0], [50, 0, 0], [100, 0, 0]]),
+        ("a b c", np.zeros((3, 3))),
+        (" ".join(f"mouth{i}" for i in range(9)), np.random.default_rng(0).normal(0, 20, (9, 3))),
+    ],
+    ids=["on a line", "at one point", "with one place on the template"],
+)
+def test_markers_that_determine_no_pose_are_judged_without_one(labels: str, at) -> None:
+    """Neither warnings of numpy nor values that are not finite."""
+    positions = np.repeat(np.array(at, np.float32)[None], 60, axis=0)
+    seen = np.ones(positions.shape[:2], np.bool_)
+    names = tuple(labels.split())
+    found = judge_markers(Markers(names, positions, seen, seen.astype(np.float32)), RATE)
+    assert not any("nan" in each.message or "inf" in each.message for each in found)
+
+
 def test_outliers_are_not_speed() -> None:
     markers = synthetic()
     rng = np.random.default_rng(1)

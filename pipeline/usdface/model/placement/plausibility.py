@@ -185,6 +185,7 @@ def _note(finding: PlausibilityFinding, stated: bool, before_remedy: str) -> str
 
 def unit_remedy(size: float) -> str:
     """Return the option that corrects a size, with the likely confusion of units."""
+    size = max(size, np.finfo(float).tiny)
     slip = min(_UNIT_SLIPS, key=lambda factor: abs(np.log(factor * size)))
     if abs(np.log(slip * size)) > np.log(_NEAR_SLIP):
         return "state the unit with --units, or a factor with --scale"
@@ -197,8 +198,13 @@ def _fits(labels: Sequence[str], positions: FloatArray, seen: BoolArray) -> list
     template = face_template(labels)
     fits = []
     for frame, mask in zip(positions[:, template.columns], seen[:, template.columns], strict=True):
-        if mask.sum() >= _FEWEST_LABELLED and np.ptp(frame[mask], axis=0).max() > 0:
-            fits.append(fit_face(template.places[mask], frame[mask], template.weights[mask]))
+        places, at = template.places[mask], frame[mask]
+        if (
+            len(at) >= _FEWEST_LABELLED
+            and np.ptp(places, axis=0).any()
+            and np.ptp(at, axis=0).any()
+        ):
+            fits.append(fit_face(places, at, template.weights[mask]))
     if not fits:
         return []
     explained = np.median([max(fit.explained, fit.explained_mirrored) for fit in fits])

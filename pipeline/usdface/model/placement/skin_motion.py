@@ -59,6 +59,8 @@ class SkinMotion:
         alignment = align_rigid_robust(sample, reference, visible=seen)
         seen &= alignment.determined[:, None]
         known = seen.any(axis=0)
+        if not known.any():  # all on one line in every frame
+            return cls(np.zeros(0), alignment.rotations, np.zeros(3), np.zeros(3), False)
         still, seen = np.asarray(remove_motion(sample, alignment))[:, known], seen[:, known]
         lag = int(steps[2])
         four = still.reshape(len(steps), len(starts), -1, 3)
