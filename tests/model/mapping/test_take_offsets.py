@@ -124,3 +124,20 @@ def test_matched_expressions_correct_an_offset_that_keys_tell_wrongly() -> None:
         space = find_head_space(each, markers, rate=60, take="day two")
         moved = space.move(markers.positions, markers.visible)
         assert np.sqrt(((moved - OTHER.positions) ** 2).sum(axis=2).mean()) < 0.5
+
+
+def test_a_marker_that_is_hidden_in_the_pairs_takes_no_part_in_their_alignment() -> None:
+    """Its last place is far off; the others are aligned by the pairs nevertheless."""
+    face, hidden = face_of_mapping(trained(references(OFFSET))), RIGID + 1
+    markers = markers_of(replace(MADE, positions=OTHER.positions + OFFSET))
+    markers.positions[CHOSEN, hidden] = 0
+    visible = markers.visible.copy()
+    visible[CHOSEN, hidden] = False
+    markers = replace(markers, visible=visible, confidence=visible.astype(np.float32))
+    space = find_head_space(face, markers, rate=60, take="day two")
+    others = np.arange(MARKERS) != hidden
+    assert np.ndim(space.pair_offset)
+    assert not np.any(np.asarray(space.pair_offset)[hidden])
+    away = (np.asarray(space.pair_offset) - OFFSET)[others]
+    assert np.sqrt((away**2).sum(axis=1).mean()) < 0.3
+    assert space.neutral.offset_mm < 1.1 * np.sqrt((OFFSET**2).sum(axis=1).mean())

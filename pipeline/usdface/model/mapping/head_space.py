@@ -197,7 +197,7 @@ def find_head_space(
     if template is not None:
         positions = template.align(positions, visible)
     numbers = np.arange(len(positions)) if frames is None else frames
-    by_pairs = _align_pairs(face, take, numbers, positions)
+    by_pairs = _align_pairs(face, take, numbers, positions, visible)
     aligned = by_pairs or _align_medians(face, positions, visible)
     positions = positions - np.float32(aligned.pair_offset)
     picks = sample_frames(len(positions), SAMPLE_FRAMES)
@@ -217,7 +217,7 @@ def find_head_space(
         session=session,
     )
     if by_pairs is not None and not neutral.offset.any():
-        size_mm = float(np.sqrt(np.square(by_pairs.pair_offset).sum(axis=1).mean()))
+        size_mm = float(np.sqrt(np.square(by_pairs.pair_offset)[slots].sum(axis=1).mean()))
         neutral = replace(neutral, offset_mm=size_mm)
     missing = tuple(name for name in face.marker_names if name not in markers.names)
     extra = tuple(name for name in markers.names if name not in face.marker_names)
@@ -268,20 +268,23 @@ def _correct_poses(
 
 
 def _align_pairs(
-    face: PerformerFace, take: str, numbers: IntArray, positions: Float32Array
+    face: PerformerFace, take: str, numbers: IntArray, positions: Float32Array, visible: BoolArray
 ) -> _Alignment | None:
-    """Map a take's frames to its own reference pairs.
+    """Map a take's frames to its own reference pairs, by markers that are visible in all of these.
 
     None if the pairs are fewer than two, or frames of another take of that name.
     """
     frames, markers = face.pairs.get(take, (numbers[:0], face.frames[:0]))
     _, rows, pairs = np.intersect1d(numbers, frames, return_indices=True)
-    if len(rows) < 2:
+    seen = visible[rows].all(axis=0)
+    if len(rows) < 2 or seen.sum() < FEWEST_RIGID:
         return None
-    middle, target = positions[rows].mean(axis=0), markers[pairs].mean(axis=0)
+    own, others = positions[rows][:, seen], markers[pairs][:, seen]
+    middle, target = own.mean(axis=0), others.mean(axis=0)
     rotation, shift = _robust_transform(middle, target)
-    offset = middle - (target - shift) @ rotation
-    away = positions[rows] - offset - (markers[pairs] - shift) @ rotation
+    offset = np.zeros_like(face.neutral)
+    offset[seen] = middle - (target - shift) @ rotation
+    away = own - offset[seen] - (others - shift) @ rotation
     scatter_mm = np.sqrt((away**2).sum(axis=2).mean())
     aligned = _Alignment(rotation, shift, offset, pairs=len(rows))
     return aligned if scatter_mm < MIN_OFFSET_MM else None
