@@ -126,3 +126,10 @@ def test_an_offset_is_as_large_as_that_of_the_markers_that_the_take_shows() -> N
     length = np.linalg.norm(found.offset, axis=1)
     assert not length[10:].any()
     assert found.offset_mm == pytest.approx(np.sqrt((length[:10] ** 2).mean()))
+
+
+def test_a_flat_capture_is_compared_without_its_proportions() -> None:
+    flat = np.array([1.0, 1.0, 0.0])
+    face = replace(FACE, neutral=NEUTRAL * flat, frames=FRAMES * flat)
+    other = performance(1) * flat
+    assert compare(other, stated=nearest(other, NEUTRAL * flat), face=face).other_face == ""

@@ -77,6 +77,17 @@ def test_a_good_stabilisation_is_left_as_it_is() -> None:
     np.testing.assert_array_equal(errors.remove(still, SEEN), still)
 
 
+@pytest.mark.parametrize("count", range(5))
+def test_few_markers_on_skin_tell_no_error(count: int) -> None:
+    """Such as those of a take whose other markers are hidden."""
+    weights, still, moved = acted(0.02, 1.5)
+    seen = SEEN.copy()
+    seen[:, count:26] = False
+    for positions in (still, moved):
+        errors = model(weights).find_errors(positions, seen)
+        assert errors.size_mm == errors.mean_mm == 0
+
+
 def test_likelihood_is_that_of_the_dense_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_error, "_NOISE_ROUNDS", 1)  # with the departure of the mean motion
     weights, _, moved = acted(0.02, 1.5)

@@ -262,13 +262,12 @@ def _compare_proportions(face: PerformerFace, offset: FloatArray, seen: BoolArra
 
     Two neutral faces of one person differ by an expression of theirs, and by reapplied markers.
     """
-    if seen.sum() < _MIN_MARKERS:
-        return ""
-    covariance = expression_covariance(
-        face.frames[:, seen], face.usable[:, seen], face.neutral[seen]
-    )
+    places = face.neutral[seen]
+    if len(places) < _MIN_MARKERS or np.linalg.matrix_rank(places - places[0]) < 3:
+        return ""  # few markers, or all in one plane, as of a capture in two dimensions
+    covariance = expression_covariance(face.frames[:, seen], face.usable[:, seen], places)
     covariance += _REAPPLIED_MM**2 / 3 * np.eye(len(covariance))
-    fit = measure_stretch(face.neutral[seen], (face.neutral + offset)[seen], covariance)
+    fit = measure_stretch(places, places + offset[seen], covariance)
     strain = np.abs(np.log(np.maximum(fit.stretch, 1e-3)))
     beyond = (strain > MAX_STRETCH) & (strain > _CRITICAL_STRETCH_T * fit.error)
     if beyond.any():
