@@ -412,6 +412,19 @@ def test_mapping_again_keeps_weights_that_somebody_moved_in_time(tmp_path: Path)
     np.testing.assert_array_equal(reader.solved(), WEIGHTS[::-1])
 
 
+def test_frames_with_a_sample_are_known_in_a_stage_of_another_rate(tmp_path: Path) -> None:
+    """USD's products of time codes and rates are not whole."""
+    path, rates = write(tmp_path), (24_000 / 1001, 60_000 / 1001)
+    for name, rate in zip(("shot.hero.weights.usdc", path.name), rates, strict=True):
+        layer = Sdf.Layer.FindOrOpen(str(tmp_path / name))
+        layer.timeCodesPerSecond = rate
+        layer.Save()
+    times = np.arange(1001, 1021) * 2.5
+    reader = PerformanceReader(path)
+    assert reader.keyed_frames == set(times[times % 1 == 0].astype(int).tolist())
+    np.testing.assert_array_equal(reader.between_frames, times % 1 != 0)
+
+
 def test_mapping_again_keeps_what_else_the_rig_s_prim_references(tmp_path: Path) -> None:
     path = write(tmp_path)
 

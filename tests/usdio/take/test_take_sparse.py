@@ -100,3 +100,23 @@ def test_events_keep_their_place_under_a_layer_offset(tmp_path: Path) -> None:
     root = stage.GetPrimAtPath("/Take")
     times = [time.GetValue() for time in root.GetAttribute("face:events:times").Get()]
     assert times == [1013.0, 1017.5]
+
+
+@pytest.mark.parametrize("rate", [24, 30, 60000 / 1001, 240])
+def test_confidence_at_another_rate_is_interpolated_as_by_usd(tmp_path: Path, rate: float) -> None:
+    rng = np.random.default_rng(0)
+    confidence = rng.random((40, 5))
+    write_take(
+        tmp_path / "talk.take.usda", make_take(confidence > 0, confidence), provenance=Provenance()
+    )
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.timeCodesPerSecond = rate
+    shot.subLayerPaths, shot.defaultPrim = ["talk.take.usda"], "Take"
+    shot.startTimeCode, shot.endTimeCode = 3, 9
+    shot.Save()
+    markers = read_take(tmp_path / "shot.usda").markers
+    assert markers is not None
+    stage = Usd.Stage.Open(shot)
+    attribute = stage.GetAttributeAtPath("/Take/Markers.primvars:face:confidence")
+    expected = [attribute.Get(frame) for frame in range(3, 10)]
+    np.testing.assert_allclose(markers.confidence, expected, rtol=1e-6)

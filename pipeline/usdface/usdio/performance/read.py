@@ -136,8 +136,8 @@ class PerformanceReader:
     @property
     def keyed_frames(self) -> frozenset[int]:
         """Frames with a sample of the solve, which is interpolated between them."""
-        times = self._weights.GetTimeSamples()
-        return frozenset(int(time) for time in times if float(time).is_integer())
+        times = np.round(self._weights.GetTimeSamples())
+        return frozenset(times[~self.between_frames].astype(int).tolist())
 
     @property
     def between_frames(self) -> BoolArray:

@@ -314,7 +314,7 @@ def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.nd
     out = values[before]
     if np.issubdtype(values.dtype, np.floating):
         after = np.minimum(before + 1, len(times) - 1)
-        step = np.maximum(times[after] - times[before], 1)
+        step = np.where(after > before, times[after] - times[before], 1)
         share = np.clip((frames - times[before]) / step, 0, 1)
         changes = np.append((values[1:] != values[:-1]).any(axis=1), False)
         moving = np.flatnonzero((share > 0) & changes[before])
