@@ -22,7 +22,6 @@ import numpy as np
 from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
 from tests.conftest import SHARED_DATA
-from tests.model.synthetic import sample_skin
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, References, Rig, ShapeKey
 from usdface.core.deformer import Deformer
@@ -36,6 +35,7 @@ from usdface.numerics.measure.face_regions import gaze_shapes
 from usdface.numerics.regression.combination_inference import infer_combinations
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.regression.reference_design import pivoted_selection
+from usdface.steps.performance.train import separate_motion
 from usdface.usdio.rig.read import read_rig
 
 PRIMARIES = 72
@@ -188,16 +188,14 @@ def _trained(rig: Rig) -> tuple[WeightPredictor, FloatArray]:
     names = [str(name) for name in truth["shapes"]]
     weights = truth["weights"][:, [names.index(name) for name in rig.shapes]].astype(np.float64)
     deformer = Deformer(rig)
-    offsets = deformer.shapes.target_offsets()
-    points = skin_points(offsets)
+    points = skin_points(deformer.shapes.target_offsets())
+    _, skin = separate_motion(rig, deformer, points, rig.shapes)
     markers = points[np.linspace(0, len(points) - 1, MARKERS).astype(int)]
     frames = np.linspace(0, len(weights) - 1, FRAMES).astype(int)
     clip = np.concatenate(
         [deformer.points(weights[frames[i : i + 64]])[:, markers] for i in range(0, FRAMES, 64)]
     )
     rows = pivoted_selection(weights[frames], PAIRS)
-    columns = (3 * points[:, None] + np.arange(3)).ravel()
-    driven = deformer.shapes.combination_offsets().tocsc()[:, columns].toarray()
     references = References(
         marker_names=tuple(map(str, range(MARKERS))),
         shape_names=rig.shapes,
@@ -217,7 +215,7 @@ def _trained(rig: Rig) -> tuple[WeightPredictor, FloatArray]:
         references,
         ranges=rig.ranges,
         gram=deformer.shapes.gram(references.weights),
-        skin=np.concatenate([sample_skin(offsets), driven.reshape(len(driven), len(points), 3)]),
+        skin=skin[: len(rig.shapes) + len(rig.combinations)],
         rest=RestPlaces(deformer.neutral[points], deformer.neutral[markers]),
         method="face_map",
     )

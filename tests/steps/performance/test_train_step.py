@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from tests.steps.small_shot import Shot
-from usdface.core.assets import MeshShape
+from tests.usdio.small_rig import small_rig
+from usdface.core.assets import MeshShape, ShapeKey
 from usdface.core.deformer import Deformer
+from usdface.core.rig_logic import Combination, logic_of
 from usdface.core.sidecars import proposed_path
 from usdface.media.picture.image import read_picture
 from usdface.model.mapping import candidates
-from usdface.model.mapping.regions import skin_points
+from usdface.model.regressions.driven_motion import driven_weights
 from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
@@ -24,7 +26,6 @@ from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import read_proposals
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take
 
 pytestmark = pytest.mark.usefixtures("without_comparison")
@@ -217,26 +218,25 @@ def test_authors_whose_keys_differ_in_gain_are_named(finished_shot: Shot, tmp_pa
     assert ", ben 0." in note
 
 
-def test_in_betweens_are_what_usdskel_makes_of_them(finished_shot: Shot, tmp_path: Path) -> None:
-    rig = read_rig(finished_shot / "hero.usdc")
-
-    def with_half(shape: MeshShape) -> MeshShape:
-        full = shape.keys[-1]
-        half = replace(full, weight=0.5, offsets=0.5 * full.offsets + [0.0, 0.0, 3.0])
-        return replace(shape, keys=(half, full)) if shape.name == "jawOpen" else shape
-
-    mesh = replace(rig.meshes[0], shapes=tuple(map(with_half, rig.meshes[0].shapes)))
-    write_rig(tmp_path / "hero.usdc", replace(rig, meshes=(mesh, *rig.meshes[1:])))
-    read = read_rig(tmp_path / "hero.usdc")
-    deformer = Deformer(read)
-    points = skin_points(deformer.shapes.target_offsets())
-    found, motion = train.in_betweens(read, deformer, points, read.shapes)
-    row = [str(each) for each in found].index("jawOpen@0.5 = jawOpen@0.5")
-    jaw = read.shapes.index("jawOpen")
-    for weight in (0.2, 0.5, 0.8):
-        pose = np.zeros((1, len(read.shapes)))
-        pose[0, jaw] = weight
-        hat = 1 - abs(weight - 0.5) / 0.5
-        full = deformer.shapes.offsets(pose / weight)[0, points]
-        expected = deformer.shapes.offsets(pose)[0, points]
-        np.testing.assert_allclose(weight * full + hat * motion[row], expected, atol=1e-5)
+def test_motion_of_shapes_combinations_and_in_betweens_adds_up_to_that_of_the_rig() -> None:
+    """Also if one shape drives a combination, or a combination has in-betweens' shapes as parts."""
+    rig, rng = small_rig(), np.random.default_rng(1)
+    combinations = (
+        Combination("crease", ("smile",)),
+        Combination("mid", ("smile",), weights=(0.4,)),
+        Combination("squint", ("eyeBlink", "jawOpen"), weights=(0.5, 1.0)),
+    )
+    driven = tuple(
+        MeshShape(each.shape, (ShapeKey(1.0, np.arange(12), rng.normal(size=(12, 3))),))
+        for each in combinations
+    )
+    skin = replace(rig.meshes[0], shapes=(*rig.meshes[0].shapes, *driven))
+    rig = replace(rig, meshes=(skin, *rig.meshes[1:]), combinations=combinations)
+    deformer, weights = Deformer(rig), rng.random((40, len(rig.shapes)))
+    points = np.arange(len(deformer.neutral))
+    between, motion = train.separate_motion(rig, deformer, points, rig.shapes)
+    logic = logic_of(rig.shapes, (*combinations, *between))
+    assert logic is not None
+    every = np.concatenate([weights, driven_weights(logic, weights)], axis=1)
+    moved = np.tensordot(every, motion, 1)
+    np.testing.assert_allclose(moved, deformer.shapes.offsets(weights), atol=1e-9)

@@ -104,8 +104,10 @@ class BlendShapes:
         weights = np.atleast_2d(np.asarray(weights, dtype=np.float64))
         if weights.shape[1] != self.channel_count:
             raise ValueError(f"{weights.shape[1]} weights for {self.channel_count} channels")
-        if self.logic is not None:
-            weights = self.logic.evaluate(weights)
+        return self._key_shares(weights if self.logic is None else self.logic.evaluate(weights))
+
+    def _key_shares(self, weights: FloatArray) -> FloatArray:
+        """Return key weights of the weights of channels and combinations."""
         shares = np.zeros((len(weights), self.key_offsets.shape[0]))
         rows, channels, at = self._single_keys
         shares[:, rows] = weights[:, channels] / at
@@ -139,16 +141,13 @@ class BlendShapes:
         full = sparse.csr_array(self.key_weights(np.eye(self.channel_count)))
         return sparse.csr_array(full @ self.key_offsets)
 
-    def combination_offsets(self) -> sparse.csr_array:
-        """Return displacements by each combination at 1: (combinations, 3 * points)."""
-        count = 0 if self.logic is None else len(self.logic.combinations)
-        shares = np.zeros((count, self.key_offsets.shape[0]))
-        full = np.zeros((count, self.channel_count + count))
-        full[:, self.channel_count :] = np.eye(count)
-        for channel, knots in self._knots:
-            if channel >= self.channel_count:
-                _share_between(full[:, channel], knots, shares)
-        return sparse.csr_array(sparse.csr_array(shares) @ self.key_offsets)
+    def separate_offsets(self, weights: FloatArray) -> sparse.csr_array:
+        """Return displacements without those by the combinations that channels drive.
+
+        Returns (rows, 3 * points), of the weights of channels and combinations, (rows, channels +
+        combinations).
+        """
+        return sparse.csr_array(sparse.csr_array(self._key_shares(weights)) @ self.key_offsets)
 
     def gram(self, poses: FloatArray | None = None) -> FloatArray:
         """Return the quadratic form of the surface error of small errors of the weights.
@@ -166,7 +165,8 @@ class BlendShapes:
             return self._gram_at_rest
         columns = coordinates_of(self.face_points)
         targets = sparse.csr_array(self._targets[:, columns])
-        driven = sparse.csr_array(self.combination_offsets()[:, columns])
+        each = np.eye(self.channel_count + len(self.logic.combinations))[self.channel_count :]
+        driven = sparse.csr_array(self.separate_offsets(each)[:, columns])
         slopes = self.logic.slopes(poses)  # a combination that one shape drives is in `targets`
         slopes -= self.logic.evaluate(np.eye(self.channel_count))[:, self.channel_count :].T
         every = sparse.vstack([targets, driven], format="csr")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name, index_of
 from usdface.core.assets import CandidateScore, References, Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -113,21 +113,14 @@ def _train(
     spec: TrainSpec, references: References, rig: Rig, deformer: Deformer, progress: Progress
 ) -> TrainedMapping:
     columns = [rig.shapes.index(name) for name in references.shape_names]
-    offsets = deformer.shapes.target_offsets()
-    points = skin_points(offsets)
-    between, between_skin = in_betweens(rig, deformer, points, references.shape_names)
+    points = skin_points(deformer.shapes.target_offsets())
+    between, skin = separate_motion(rig, deformer, points, references.shape_names)
     poses = columns_by_name(references.weights, references.shape_names, rig.shapes)
     mapping = train_mapping(
         replace(references, combinations=(*references.combinations, *between)),
         ranges=rig.ranges_of(references.shape_names),
         gram=deformer.shapes.gram(poses)[np.ix_(columns, columns)],
-        skin=np.concatenate(
-            [
-                offsets_at(offsets, points)[columns],
-                offsets_at(deformer.shapes.combination_offsets(), points),
-                between_skin,
-            ]
-        ),
+        skin=skin,
         rest=rest_places(references, rig, deformer.neutral[points]),
         method=spec.method,
         choices=Choices(spec.dimensions, spec.widths),
@@ -188,29 +181,35 @@ def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: Refere
     )
 
 
-def in_betweens(
+def separate_motion(
     rig: Rig, deformer: Deformer, points: IntArray, names: tuple[str, ...]
 ) -> tuple[tuple[Combination, ...], FloatArray]:
-    """Return in-betweens as combinations of one part, and their offsets, (n, points, 3) [mm].
+    """Return in-betweens as combinations of one part, and the motion of points by each shape alone.
 
     At weight w a shape moves the skin by ``w full + sum_p hat_p(w) (in-between_p - p full)``, where
-    ``hat_p`` is 1 at the in-between's weight p and 0 at its neighbours.
+    ``hat_p`` is 1 at the in-between's weight p and 0 at its neighbours. The motion, (n, points, 3)
+    [mm], is that of the shapes `names`, of the rig's combinations, and of the in-betweens.
     """
-    weights: dict[str, set[float]] = {}
+    peaks: dict[str, set[float]] = {}
     for mesh in rig.meshes:
         for shape in mesh.shapes:
-            between = {key.weight for key in shape.keys if 0 < key.weight < 1}
+            between = {float(key.weight) for key in shape.keys if 0 < key.weight < 1}
             if between and shape.name in names:
-                weights.setdefault(shape.name, set()).update(between)
-    found, motion = [], [np.zeros((0, len(points), 3))]
-    for name, between in weights.items():
-        at = np.array([*sorted(between), 1.0])
-        poses = columns_by_name(at[:, None], (name,), rig.shapes)
-        moved = deformer.shapes.offsets(poses)[:, points]
-        motion.append(moved[:-1] - at[:-1, None, None] * moved[-1])
+                peaks.setdefault(shape.name, set()).update(between)
+    column, each = index_of(rig.shapes), np.eye(len(rig.shapes) + len(rig.combinations))
+
+    def moved(weights: FloatArray) -> FloatArray:
+        return offsets_at(deformer.shapes.separate_offsets(weights), points)
+
+    found, motion = [], [moved(each[[column[name] for name in names]]), moved(each[len(column) :])]
+    for name, between in peaks.items():
+        knots = [0.0, *sorted(between), 1.0]
+        at = np.array(knots[1:])[:, None]
+        offsets = moved(at * each[column[name]])
+        motion.append(offsets[:-1] - at[:-1, :, None] * offsets[-1])
         found += [
-            Combination(f"{name}@{weight:g}", (name,), weights=(float(weight),))
-            for weight in at[:-1]
+            Combination(f"{name}@{peak:g}", (name,), weights=(peak,), spans=((low, high),))
+            for low, peak, high in zip(knots, knots[1:], knots[2:], strict=False)
         ]
     return tuple(found), np.concatenate(motion)
 
