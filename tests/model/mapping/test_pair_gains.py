@@ -8,6 +8,7 @@ from usdface.core.assets import MotionSpace
 from usdface.model.mapping.corrected_pairs import correct_pairs, fit_pairs_forward
 from usdface.model.mapping.pair_gains import gain_groups
 from usdface.model.regressions.base import Face, Pairs
+from usdface.model.regressions.shape_sides import ShapeSides
 
 UPPER = ("browInnerUp", "browDown_L", "browDown_R", "eyeBlink_L", "eyeBlink_R")
 LOWER = ("jawOpen", "jawLeft", "mouthFunnel", "mouthPucker", "mouthSmile_L", "mouthSmile_R")
@@ -33,7 +34,7 @@ def pairs_of(keys: np.ndarray, moved: np.ndarray, neutral: np.ndarray) -> Pairs:
     flat = moved.reshape(len(moved), -1)
     motion = MotionSpace(neutral.ravel(), np.eye(flat.shape[1]), np.ones(flat.shape[1]), 1.0, flat)
     ranges = np.tile([0.0, 1.0], (len(SHAPES), 1))
-    face = Face(ranges, np.eye(len(SHAPES)), motion, neutral=neutral)
+    face = Face(ShapeSides.divided(ranges), np.eye(len(SHAPES)), motion, neutral=neutral)
     return Pairs(flat, keys, face, moved + neutral)
 
 

@@ -9,6 +9,7 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, RETARGET_METHODS
 from usdface.model.regressions.base import Choices, Face, Pairs
 from usdface.model.regressions.gaussian_rbf import PUBLISHED
+from usdface.model.regressions.shape_sides import ShapeSides
 from usdface.numerics.regression.rbf_ridge import (
     centre_widths,
     gaussian_design,
@@ -26,7 +27,9 @@ def pairs_of_a_face() -> Pairs:
     assert motion is not None
     flat = references.markers.reshape(len(CHOSEN), -1)
     coordinates = (flat - motion.mean) @ motion.components.T
-    return Pairs(coordinates, references.weights, Face(face.ranges, face.gram, motion))
+    return Pairs(
+        coordinates, references.weights, Face(ShapeSides.divided(face.ranges), face.gram, motion)
+    )
 
 
 def test_one_registry_serves_mappings_and_retargetings() -> None:

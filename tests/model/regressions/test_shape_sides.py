@@ -10,7 +10,7 @@ from usdface.core.assets import References, TrainedMapping
 from usdface.core.rig_logic import Combination, CombinationMode, RigLogic
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
-from usdface.model.regressions.shape_sides import ShapeSides
+from usdface.model.regressions.shape_sides import JOINED_OUTPUTS, ShapeSides
 
 pytestmark = pytest.mark.usefixtures("without_comparison")
 
@@ -94,14 +94,59 @@ def test_a_shape_with_negative_weights_is_solved_as_well_as_two() -> None:
     np.testing.assert_allclose(together.uncertainty[:, 0], apart.uncertainty[:, 0], rtol=0.2)
 
 
-def test_a_mapping_without_sides_has_whole_shapes() -> None:
+def test_other_methods_predict_whole_shapes_and_are_as_certain() -> None:
+    """Of a face whose markers move by halves of its shapes to either side of rest."""
+    face = synthetic_face()
+    signed = replace(
+        face,
+        neutral=face.neutral + 0.5 * face.shapes.sum(axis=0),
+        shapes=0.5 * face.shapes,
+        weights=2 * face.weights - 1,
+        gram=0.25 * face.gram,
+        ranges=2 * face.ranges - 1,
+    )
+    by_map, by_ridge = (
+        predict_weights(train(signed, method), face.positions[600:])
+        for method in ("face_map", "ridge")
+    )
+    np.testing.assert_allclose(by_ridge.weights, signed.weights[600:], atol=0.02)
+    assert by_ridge.uncertainty.mean() < 1.2 * by_map.uncertainty.mean()  # it was four times that
+    assert by_ridge.residual_mm.max() < 0.05
+
+
+def test_shapes_of_negative_weights_alone_are_as_certain_as_others() -> None:
+    face = synthetic_face()
+    mirrored = replace(
+        face, weights=-face.weights, shapes=-face.shapes, ranges=-face.ranges[:, ::-1]
+    )
+    for method in ("face_map", "ridge"):
+        usual, other = (
+            predict_weights(train(each, method), face.positions[600:]) for each in (face, mirrored)
+        )
+        np.testing.assert_allclose(other.weights, -usual.weights, atol=1e-6)
+        np.testing.assert_allclose(other.uncertainty, usual.uncertainty, rtol=1e-3)
+
+
+def test_mappings_of_earlier_versions_predict_as_before() -> None:
+    """Their outputs are the columns of sides; without sides, whole shapes."""
     face = with_one_shape(turning())
     mapping = train(face, "ridge")
-    assert mapping.arrays["shape_sides"].shape == (5, 2)
-    earlier = {name: each for name, each in mapping.arrays.items() if name != "shape_sides"}
+    usual = predict_weights(mapping, face.positions[600:620]).weights
+    sides = ShapeSides.from_arrays(mapping.arrays, mapping.ranges)
+    columns = {
+        name: sides.signs * mapping.arrays[name][..., sides.shapes]
+        for name in ("slope", "intercept")
+    }
+    earlier = {name: each for name, each in mapping.arrays.items() if name != JOINED_OUTPUTS}
+    divided = replace(mapping, arrays=earlier | columns)
+    np.testing.assert_allclose(
+        predict_weights(divided, face.positions[600:620]).weights, usual, atol=1e-12
+    )
+    undivided = train(synthetic_face(), "ridge")
+    earlier = {name: each for name, each in undivided.arrays.items() if name != "shape_sides"}
     np.testing.assert_array_equal(
-        predict_weights(replace(mapping, arrays=earlier), face.positions[600:620]).weights,
-        predict_weights(mapping, face.positions[600:620]).weights,
+        predict_weights(replace(undivided, arrays=earlier), face.positions[:9]).weights,
+        predict_weights(undivided, face.positions[:9]).weights,
     )
 
 

@@ -80,7 +80,7 @@ class FoldModel:
         predict = self.method.prepare_prior(
             self.fitted.arrays,
             self.fitted.settings,
-            ranges=pairs.face.ranges,
+            sides=pairs.face.sides,
             curve=self.corrected.forward.scales.curve,
         )
         return predict(pairs.inputs, pairs.displacements)

@@ -80,10 +80,13 @@ class CorrectedPairs:
     """(pairs,): logarithm of the factor that scaled each pair's keys to the mean gain."""
 
     def training_pairs(self, method: Regression) -> Pairs:
-        """Return the training pairs of a method; published methods are fitted to original keys."""
+        """Return the training pairs of a method.
+
+        Published methods are fitted to original keys, with one output for both sides of a shape.
+        """
         if method.solves_frames:
             return self.pairs
-        return replace(self.pairs, outputs=self.original_keys)
+        return replace(self.pairs, outputs=self.pairs.face.sides.join(self.original_keys))
 
     @property
     def has_random_errors(self) -> bool:
@@ -272,7 +275,7 @@ def fit_rig_prior(pairs: Pairs) -> RigPrior:
     if face.driven is None:
         return RigPrior(basis, None)
     motion = basis[count:].reshape(len(basis) - count, displaced[0].size)
-    return RigPrior(basis[:count], DrivenMotion(face.driven.logic, face.driven.sides, motion))
+    return RigPrior(basis[:count], DrivenMotion(face.driven.logic, face.sides, motion))
 
 
 def fit_pairs_forward(
@@ -300,5 +303,5 @@ def _driven_weights(pairs: Pairs) -> FloatArray:
     face = pairs.face
     if face.driven is None:
         return np.zeros((len(pairs.outputs), 0))
-    weights = face.driven.sides.join(np.clip(pairs.outputs, *face.ranges.T))
+    weights = face.sides.join(np.clip(pairs.outputs, *face.ranges.T))
     return driven_weights(face.driven.logic, weights)

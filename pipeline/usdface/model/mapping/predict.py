@@ -18,7 +18,7 @@ from usdface.model.regressions import REMOVED_METHODS, find_method
 from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_solve import FrameSolver
-from usdface.model.regressions.shape_sides import ShapeSides
+from usdface.model.regressions.shape_sides import JOINED_OUTPUTS, ShapeSides
 
 _BLOCK_FRAMES = 1024
 """Frames per block: a block fits in the cache, which is 25 % faster than larger ones."""
@@ -86,10 +86,11 @@ class WeightPredictor:
             self._coverage = CoverageModel(self._solver.forward.basis, pairs, self._region_markers)
             self._method = find_method(mapping.method)
             with np.errstate(all="ignore"):  # values that are not finite are refused below
+                joined = JOINED_OUTPUTS in mapping.arrays
                 self._prior = self._method.prepare_prior(
                     mapping.arrays,
                     mapping.settings,
-                    ranges=self._sides.ranges,
+                    sides=self._sides if joined else ShapeSides.undivided(self._sides.ranges),
                     curve=self._solver.forward.scales.curve,
                 )
                 trial = self.predict(mapping.neutral[None])

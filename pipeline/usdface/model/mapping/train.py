@@ -40,7 +40,6 @@ from usdface.model.mapping.regions import (
 )
 from usdface.model.mapping.take_neutral import find_take_offsets
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
-from usdface.model.regressions import find_method
 from usdface.model.regressions.base import (
     DEFAULT_CHOICES,
     Choices,
@@ -52,7 +51,7 @@ from usdface.model.regressions.base import (
 )
 from usdface.model.regressions.forward_model import ForwardScales
 from usdface.model.regressions.frame_solve import FrameSolver
-from usdface.model.regressions.shape_sides import ShapeSides
+from usdface.model.regressions.shape_sides import JOINED_OUTPUTS, ShapeSides
 from usdface.numerics.measure.face_regions import (
     gaze_and_tongue_shapes,
     gaze_shapes,
@@ -124,8 +123,7 @@ def train_mapping(
         If the references, the skin or the choices do not fit each other or the method.
     """
     limited = check_references(references, ranges=ranges, gram=gram)
-    divides = method == "auto" or find_method(method).solves_frames
-    sides = (ShapeSides.divided if divides else ShapeSides.undivided)(ranges.astype(np.float64))
+    sides = ShapeSides.divided(ranges.astype(np.float64))
     checked = sides.references(limited)
     face = _face(references, checked, sides, gram=gram, skin=skin, rest=rest)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=face.motion)
@@ -144,6 +142,8 @@ def train_mapping(
     regions, error_arrays = _uncertainty(compared, folds, solver)
     arrays = fitted.arrays | motion_arrays(face.motion) | solver.to_arrays() | error_arrays
     arrays |= sides.to_arrays() | pose_arrays | pair_arrays
+    if not best.method.solves_frames and (sides.signs < 0).any():
+        arrays[JOINED_OUTPUTS] = np.ones(1)
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
@@ -176,12 +176,12 @@ def _face(
     skin, rest = _outer_skin(skin, rest, references)
     parts = checked.parts or checked.shape_names
     return Face(
-        ranges=sides.ranges,
+        sides=sides,
         gram=np.eye(len(parts)) if gram is None else _skin_gram(sides.gram(gram), parts),
         motion=checked.motion if checked.motion is not None else motion_of_pairs(checked),
         skin=None if skin is None else sides.motion(skin[: len(sides.limits)]),
         lids=shapes_by_region(parts).get("lids"),
-        driven=_driven_skin(references, skin, sides),
+        driven=_driven_skin(references, skin),
         rest=rest,
         neutral=checked.neutral.astype(np.float64),
     )
@@ -269,13 +269,11 @@ def _pairs(references: References, face: Face) -> Pairs:
     return Pairs(coordinates, references.weights, face, markers, authors=references.authors)
 
 
-def _driven_skin(
-    references: References, skin: FloatArray | None, sides: ShapeSides
-) -> DrivenSkin | None:
+def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:
     logic = logic_of(references.shape_names, references.combinations)
     if skin is None or logic is None:
         return None
-    return DrivenSkin(logic, sides, skin[len(references.shape_names) :])
+    return DrivenSkin(logic, skin[len(references.shape_names) :])
 
 
 def _key_settings(folds: PairFolds, references: References) -> dict[str, float | str]:

@@ -7,6 +7,7 @@ skin saturates with the weight.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -56,8 +57,6 @@ class DrivenSkin:
 
     logic: RigLogic
     """Its first shapes are those of the references."""
-    sides: ShapeSides
-    """Columns of the pairs' outputs."""
     skin: FloatArray
     """(combinations, points, 3): displacement of the points of `Face.skin` by each at 1 [mm]."""
 
@@ -66,8 +65,8 @@ class DrivenSkin:
 class Face:
     """Data of a mapping's face other than its pairs: rig, motion space and neutral."""
 
-    ranges: FloatArray
-    """(shapes, 2): lowest and highest weight."""
+    sides: ShapeSides
+    """Columns of the pairs' outputs, which are called shapes here."""
     gram: FloatArray
     """(shapes, shapes): mean over the rig's points of the dot products of the shapes' displacements
     [mm^2]; the identity without a rig."""
@@ -84,6 +83,11 @@ class Face:
     """Shapes of the lids."""
     driven: DrivenSkin | None = None
     """None if the rig has no combinations, or without `skin`."""
+
+    @cached_property
+    def ranges(self) -> FloatArray:
+        """Lowest and highest weight: (shapes, 2)."""
+        return self.sides.ranges
 
     def normalise(self, weights: FloatArray) -> FloatArray:
         """Return weights scaled from their ranges to [0-1], and limited to it."""
@@ -211,25 +215,25 @@ class Regression:
         return self._prepared(arrays, settings)(inputs)
 
     def prepare_prior(
-        self, arrays: Arrays, settings: Settings, *, ranges: FloatArray, curve: float
+        self, arrays: Arrays, settings: Settings, *, sides: ShapeSides, curve: float
     ) -> PriorPredictor:
         """Return the predictor of a mapping.
 
         Parameters
         ----------
-        ranges : (shapes, 2) float array
-            Lowest and highest weight of each shape.
+        sides : ShapeSides
+            Of the weights that a method predicts which solves no frames.
         curve : float
             As of `bend`.
         """
         if self.prepare_process is not None:
             process = self.prepare_process(arrays, settings)
             return lambda _coordinates, moved: process(moved.reshape(len(moved), -1))
-        predict, low, span = self._prepared(arrays, settings), ranges[:, 0], np.ptp(ranges, axis=1)
+        predict, low = self._prepared(arrays, settings), sides.ranges[:, 0]
+        span = np.ptp(sides.ranges, axis=1)
 
         def prior(coordinates: FloatArray, _moved: FloatArray) -> tuple[FloatArray, None]:
-            normalised = np.clip((predict(coordinates) - low) / span, 0.0, 1.0)
-            return bend(normalised, curve), None
+            return bend((sides.split(predict(coordinates)) - low) / span, curve), None
 
         return prior
 

@@ -12,6 +12,10 @@ import numpy as np
 from usdface.core.arrays import Arrays, FloatArray, IntArray
 from usdface.core.assets import References
 
+JOINED_OUTPUTS = "joined_outputs"
+"""Array of mappings whose method predicts weights of shapes; without it, those of columns, as in
+earlier versions. Both are the same without weights below 0."""
+
 
 @dataclass(frozen=True)
 class ShapeSides:
