@@ -237,3 +237,11 @@ def test_reapplied_markers_are_known_less_the_less_they_move() -> None:
     motion = ((face_of_mapping(mapping).frames - mapping.neutral) ** 2).sum(axis=2).mean(axis=0)
     assert (known < 1).all()
     assert (np.argsort(known, kind="stable") == np.argsort(motion, kind="stable"))[-5:].all()
+
+
+def test_a_mirrored_take_is_called_so_though_its_rigid_markers_are_elsewhere() -> None:
+    made = synthetic_face()
+    mirrored = replace(made, positions=made.positions * [-1, 1, 1], rigid=made.names[:12])
+    face = replace(face_of_mapping(trained()), rigid=mirrored.rigid)
+    with pytest.raises(InputError, match=r"mirror image .*--mirrored axes"):
+        find_head_space(face, markers_of(mirrored), rate=60.0)

@@ -68,6 +68,7 @@ def test_errors_of_a_band_that_slips_are_found_and_removed() -> None:
     away = (errors.remove(moved, SEEN) - still)[:, on_skin]
     before = (moved - still)[:, on_skin]
     assert np.sqrt((away**2).mean()) < 0.1 * np.sqrt((before**2).mean())
+    assert errors.remove(moved[:0], SEEN[:0]).shape == (0, MARKERS, 3)
 
 
 def test_a_good_stabilisation_is_left_as_it_is() -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tests.steps.small_shot import Shot
+from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec
@@ -35,3 +36,14 @@ def test_a_marker_that_falls_off_is_named_with_its_frames(
     assert ("too long to fill" in note) == (max_gap is not None)
     advice = [each for each in result.notes if "raise --max-gap" in each]
     assert not any(take.markers.names[marker] in each for each in advice)
+
+
+def test_a_marker_that_is_never_seen_is_named(shot: Shot) -> None:
+    take = read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    visible, name = take.markers.visible.copy(), take.markers.names[-1]
+    visible[:, -1] = False
+    markers = replace(take.markers, visible=visible, confidence=visible.astype("float32"))
+    write_take(shot / "less.take.usda", replace(take, markers=markers), provenance=Provenance())
+    with pytest.raises(InputError, match=f"never shows 1 marker, {name}; ingest the capture again"):
+        execute(CleanSpec(take=shot / "less.take.usda", out=shot / "less.clean.take.usda"))

@@ -17,7 +17,12 @@ from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace
-from usdface.model.mapping.take_neutral import MIN_OFFSET_MM, TakeNeutral, compare_neutral
+from usdface.model.mapping.take_neutral import (
+    MIN_OFFSET_MM,
+    TakeNeutral,
+    check_not_mirrored,
+    compare_neutral,
+)
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.pose_error import PoseErrors, observed_motion
@@ -364,6 +369,7 @@ def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolAr
     by_face = _robust_transform(median, target)
     face_away = np.linalg.norm(median @ by_face[0].T + by_face[1] - target, axis=1)
     if np.median(face_away) > RIGID_TOLERANCE_MM:
+        check_not_mirrored(median, target)
         _refuse(names[used].tolist(), median[used], target[used], away[used])
     return _Alignment(*by_face, moved_mm=float(np.sqrt((face_away[rigid] ** 2).mean())))
 

@@ -229,6 +229,15 @@ def compare_neutral(
     )
 
 
+def check_not_mirrored(places: FloatArray, others: FloatArray) -> None:
+    """Refuse a take whose markers, (n, 3), are the mirror image of the performer's."""
+    if is_mirror_image(places, others):
+        raise InputError(
+            "the take is the mirror image of those it is compared with; ingest it with --mirrored "
+            "axes, or with --mirrored labels if the names of left and right alone are exchanged"
+        )
+
+
 def _check_labels(
     names: tuple[str, ...], neutral: FloatArray, positions: FloatArray, usable: BoolArray
 ) -> None:
@@ -240,11 +249,7 @@ def _check_labels(
     hidden = np.where(usable[:, seen, None], positions[:, seen], np.nan)
     median = np.full_like(neutral, np.nan)
     median[seen] = np.nanmedian(hidden, axis=0)
-    if is_mirror_image(median[seen], neutral[seen]):
-        raise InputError(
-            "the take is the mirror image of those it is compared with; ingest it with --mirrored "
-            "axes, or with --mirrored labels if the names of left and right alone are exchanged"
-        )
+    check_not_mirrored(median[seen], neutral[seen])
     away = np.linalg.norm(median[:, None] - neutral, axis=2)
     apart = np.linalg.norm(neutral[:, None] - neutral, axis=2)
     near = (away < _EXCHANGED_SHARE * apart) & (apart > MAX_REAPPLIED_MM)

@@ -322,7 +322,7 @@ class PoseErrors:
 
     def remove(self, positions: RealArray, visible: BoolArray) -> FloatArray:
         """Return positions (frames, markers, 3) without the errors, rigid markers at rest [mm]."""
-        if not self.size_mm:
+        if not self.size_mm or not len(positions):
             return np.asarray(positions, dtype=np.float64)
         found = self.expressions.likelihood(positions - self.offset, visible)
         inverse = np.linalg.inv(self.covariance)

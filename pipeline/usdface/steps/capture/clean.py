@@ -12,7 +12,7 @@ from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import samples_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize
 from usdface.model.placement.label_hints import (
     are_image_landmarks,
     is_on_headgear,
@@ -128,6 +128,13 @@ def _check_captured(spec: CleanSpec, take: Take) -> Markers:
     """Return a take's markers; refuse a take that has none or is cleaned already."""
     if take.markers is None:
         raise InputError(f"{spec.take}: has no markers to clean; ingest a capture that has")
+    seen = take.markers.visible.any(axis=0)
+    if not seen.all():
+        never = [take.markers.names[column] for column in np.flatnonzero(~seen)]
+        raise InputError(
+            f"{spec.take}: never shows {counted(never, 'marker')}; ingest the capture again, which "
+            "leaves them out"
+        )
     # A second HeadMotion would replace the first in the stronger layer.
     if take.markers.space == "stabilized" and take.head_motion is not None:
         raise InputError(
