@@ -13,7 +13,7 @@ from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.model.mapping.performer_face import PerformerFace
-from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.steps.inputs.cleaned_takes import read_cleaned_takes, take_head_space
 from usdface.steps.inputs.placement import read_performer_markers
 from usdface.usdio.take.read import TakeReader, read_take
 from usdface.usdio.take.write import write_take
@@ -132,3 +132,25 @@ def test_takes_in_two_units_are_refused_with_the_option_that_mends_it(tmp_path: 
     message = r"10 times those of .* another unit; ingest those again .*--units cm"
     with pytest.raises(InputError, match=message):
         read_cleaned_takes((second, first))
+
+
+def test_takes_are_aligned_by_the_pairs_and_the_neutral_frame_of_the_first(tmp_path: Path) -> None:
+    """As each alone, though their frames are rows of all of them."""
+    positions = from_neutral(0)
+    first = write(tmp_path, "first", positions + GLUE)
+    takes = read_cleaned_takes((first, write(tmp_path, "second", from_neutral(1) + GLUE)))
+    frames = np.arange(40, len(positions), 150)
+    sample = performance(2)
+    face = PerformerFace(
+        NAMES,
+        NAMES[:8],
+        NEUTRAL,
+        sample,
+        np.ones(sample.shape[:2], bool),
+        pairs={"first": (frames, positions[frames - 1])},
+    )
+    together, alone = takes.head_space(face), take_head_space(TakeReader(first), face)
+    assert np.ndim(together.pair_offset)
+    np.testing.assert_allclose(together.pair_offset, alone.pair_offset, atol=1e-3)
+    assert together.neutral.stated_frame == alone.neutral.stated_frame == 1
+    assert takes.neutrals[0].neutral_frame == 1

@@ -24,14 +24,21 @@ from usdface.usdio.take.read import TakeReader, read_take
 
 def take_head_space(take: TakeReader, face: PerformerFace) -> HeadSpace:
     """Find the transform from a take's markers to those of a face, from frames all over it."""
-    picks = np.array(spread_frames(take, SAMPLE_FRAMES))
-    pairs = face.pairs[take.name][0] if take.name in face.pairs else picks[:0]
-    extra = np.append(pairs, take.neutral_frame)
-    inside = (take.first_frame <= extra) & (extra <= take.last_frame)
-    picks = np.union1d(picks, extra[inside])
+    span = take.first_frame, take.last_frame
+    known = _known_frames(face, take.name, take.neutral_frame, span)
+    picks = np.union1d(spread_frames(take, SAMPLE_FRAMES), known)
     sample = read_markers_at(take, picks.tolist())
     with as_input_error(take.path, of=InputError):
         return _head_space(face, sample, picks, take)
+
+
+def _known_frames(
+    face: PerformerFace, take: str, neutral_frame: int, span: tuple[int, int]
+) -> IntArray:
+    """Return the frames of a take's reference pairs and its neutral one, within a range."""
+    pairs = [frames for name, (frames, _) in face.pairs.items() if name == take]
+    known = np.concatenate([*pairs, [neutral_frame]])
+    return known[(span[0] <= known) & (known <= span[1])]
 
 
 def _head_space(
@@ -143,13 +150,18 @@ class CleanedTakes:
             visible=visible,
             confidence=visible.astype(np.float32),
             rigid=self.rigid,
+            neutral_frame=self.neutrals[0].stated_frame,
             space="stabilized",
         )
 
     def head_space(self, face: PerformerFace) -> HeadSpace:
         """Find the transform from the common head space of the takes to that of a face."""
-        rows = sample_frames(len(self.frames), _HEAD_SPACE_FRAMES)
-        return _head_space(face, self.markers_at(rows), rows, self.sources[0])
+        # Frames are numbered as in the first take, and on from there.
+        take, first = self.sources[0], int(self.frames[0])
+        span = first, first + len(self.positions[0]) - 1
+        known = _known_frames(face, take.name, self.neutrals[0].stated_frame, span)
+        rows = np.union1d(sample_frames(len(self.frames), _HEAD_SPACE_FRAMES), known - first)
+        return _head_space(face, self.markers_at(rows), rows + first, take)
 
     def aligned_by(self, rigid: tuple[str, ...]) -> "CleanedTakes":
         """Return the takes with the head motion of their frames removed by other markers."""
@@ -241,7 +253,7 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     frame = clouds[0].neutral_frame
     check_neutral_frame(paths[0], frame, takes[0])
     neutral = positions[0][frame - takes[0].first_frame].astype(np.float64)
-    neutrals = _onto_first(paths, takes, (names, rigid), neutral, positions, usable)
+    neutrals = _onto_first(paths, takes, (names, rigid), neutral, frame, positions, usable)
     return CleanedTakes(
         marker_names=names,
         rigid=rigid,
@@ -261,6 +273,7 @@ def _onto_first(
     takes: list[Take],
     names: tuple[tuple[str, ...], tuple[str, ...]],
     neutral: FloatArray,
+    neutral_frame: int,
     positions: list[Float32Array],
     usable: list[BoolArray],
 ) -> tuple[TakeNeutral, ...]:
@@ -269,7 +282,9 @@ def _onto_first(
     Each take is compared with all before it, since two takes may share no expression.
     """
     marker_names, rigid = names
-    neutrals = [TakeNeutral(marker_names, np.zeros_like(neutral))]
+    neutrals = [
+        TakeNeutral(marker_names, np.zeros_like(neutral), 0.0, neutral_frame, neutral_frame)
+    ]
     for index in range(1, len(takes)):
         frames, seen = _sample_takes(positions[:index], usable[:index])
         face = PerformerFace(
