@@ -20,7 +20,7 @@ from tests.conftest import SHARED_DATA
 from tests.model.synthetic import sample_skin
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.predict import Prediction, predict_weights
+from usdface.model.mapping.predict import Prediction, WeightPredictor
 from usdface.model.mapping.regions import region_points
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
@@ -109,7 +109,7 @@ def _crosstake(counts: tuple[int, ...]) -> Iterator[Claims]:
                     take, range(take.first_frame + crosstake.HALF, take.last_frame + 1)
                 )
                 placed = take_head_space(take, face_of_mapping(mapping)).place(seen)
-                said = predict_weights(mapping, placed.positions, visible=placed.visible)
+                said = WeightPredictor(mapping).predict(placed.positions, visible=placed.visible)
                 wanted = truth["weights"][crosstake.HALF :].astype(float)
                 own = [rig.shapes.index(shape) for shape in mapping.shape_names]
                 error = errors_by_region(
@@ -139,7 +139,7 @@ def _performers(counts: tuple[int, ...]) -> Iterator[Claims]:
                 skin=shapes.skin,
             )
             for take, markers, truth in acted.takes:
-                said = predict_weights(mapping, markers)
+                said = WeightPredictor(mapping).predict(markers)
                 error = errors_by_region(
                     said.weights - truth, said.regions, shapes.names, shapes.gram, shapes.skin
                 )

@@ -32,7 +32,7 @@ from tests.conftest import SHARED_DATA
 from tests.model.synthetic import align_markers, sample_skin
 from usdface.core.assets import References, Rig, Take, TrainedMapping
 from usdface.core.deformer import Deformer
-from usdface.model.mapping.predict import Prediction, predict_weights
+from usdface.model.mapping.predict import Prediction, WeightPredictor
 from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
@@ -162,7 +162,7 @@ def compare(folder: Path, methods: tuple[str, ...], *, full: bool = False) -> No
     print("| set-up | value | wanted |\n|---|---|---|")
     for each in islice(read_setups(folder, full=True), len(REFERENCE_COUNTS)):
         mapping, start = ruler.train(each.references, methods[0]), time.process_time()
-        predict_weights(mapping, each.markers, visible=each.visible)
+        WeightPredictor(mapping).predict(each.markers, visible=each.visible)
         elapsed_ms = 1e3 * (time.process_time() - start)
         print(f"| {each.name} | {elapsed_ms / len(each.markers):.2f} | ≤ 0.15 |", flush=True)
     print("\nbrows through references of the cheeks: share of the baseline's motion\n")
@@ -272,7 +272,7 @@ def _setup(
 def solve(setup: Setup, ruler: Ruler, method: str) -> Prediction:
     """Train and map."""
     mapping = ruler.train(setup.references, method)
-    return predict_weights(mapping, setup.markers, visible=setup.visible)
+    return WeightPredictor(mapping).predict(setup.markers, visible=setup.visible)
 
 
 def mean_figures(solved: Sequence[np.ndarray], setups: Sequence[Setup], ruler: Ruler) -> str:
@@ -381,7 +381,11 @@ def brow_share(folder: Path, ruler: Ruler, method: str) -> float:
     baseline = equation.propose(placed.positions[rows].astype(float), visible=placed.visible[rows])[
         :, columns
     ]
-    solved = predict_weights(mapping, placed.positions[rows], visible=placed.visible[rows]).weights
+    solved = (
+        WeightPredictor(mapping)
+        .predict(placed.positions[rows], visible=placed.visible[rows])
+        .weights
+    )
     moving = [i for i, name in enumerate(references.shape_names) if name.lower().startswith("brow")]
     spread = [np.sqrt(each[:, moving].var(axis=0).sum()) for each in (solved, baseline)]
     return float(spread[0] / spread[1])

@@ -21,7 +21,7 @@ from usdface.capture.sniff import read_capture
 from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.motion_space import fit_motion_space
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS
@@ -130,7 +130,7 @@ def _brow_share(performer: Performer) -> tuple[float, float]:
     """
     acted = act(performer, 50, still="brow")
     (_, markers, truth), shapes = acted.takes[1], acted.shapes
-    predicted = predict_weights(_trained(acted, "auto"), markers).weights
+    predicted = WeightPredictor(_trained(acted, "auto")).predict(markers).weights
     brows = [i for i, name in enumerate(shapes.names) if name.startswith("brow")]
     root = np.linalg.cholesky(shapes.gram[np.ix_(brows, brows)] + 1e-9 * np.eye(len(brows)))
     wanted, found = (each[:, brows] @ root for each in (truth, predicted))
@@ -220,7 +220,7 @@ def choose_pairs(markers: np.ndarray, motion: MotionSpace, count: int) -> np.nda
 def _figures(
     mapping: TrainedMapping, shapes: Shapes, markers: np.ndarray, truth: np.ndarray
 ) -> tuple[float, float]:
-    error = predict_weights(mapping, markers).weights - truth
+    error = WeightPredictor(mapping).predict(markers).weights - truth
     blinks = [i for i, name in enumerate(shapes.names) if name.startswith("eyeblink")]
     peaks = truth[:, blinks] > np.quantile(truth[:, blinks], 0.97, axis=0)
     return surface_rms_mm(error, shapes.gram), float(error[:, blinks][peaks].mean())

@@ -18,7 +18,7 @@ from benchmarks.performers import Shapes, choose_pairs, clean_motion, performanc
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import MotionSpace, References
 from usdface.model.mapping.motion_space import fit_motion_space
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.model.regressions.base import RestPlaces
@@ -125,7 +125,7 @@ def measure(number: int) -> tuple[Setup, dict[str, float], dict[str, float]]:
             rest=RestPlaces(shapes.places, placed),
             method=method,
         )
-        solved = predict_weights(mapping, markers, visible=visible)
+        solved = WeightPredictor(mapping).predict(markers, visible=visible)
         error = _errors(solved.weights - truth, solved.regions, shapes)
         found[method] = _rms(error[:, 0])
         if method == METHODS[0]:

@@ -21,7 +21,7 @@ from tests.model.synthetic import sample_skin
 from usdface.core.assets import Markers, References, Take, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.provenance import Provenance
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.forward_model import ForwardScales, fit_forward_model
 from usdface.numerics.measure.face_regions import blinks
@@ -171,7 +171,7 @@ def _row(stage: Stage, label: str, rows: list[np.ndarray]) -> None:
     cells = []
     for half, picks in enumerate(rows):
         test = slice(4030, None) if half == 0 else slice(0, 4030)
-        predicted = predict_weights(_train(stage, picks), stage.positions[test]).weights
+        predicted = WeightPredictor(_train(stage, picks)).predict(stage.positions[test]).weights
         error = (predicted - stage.truth[test]) * stage.seen
         squared = np.einsum("fs,st,ft->f", error, stage.gram, error)
         shut = blinks(stage.references.shape_names)
@@ -220,7 +220,7 @@ def _print_starts(stage: Stage) -> None:
     _start_row(stage, "0", "the blendshape equation", proposed, judged)
     for count in (10, 25, 50):
         mapping = _train(stage, tuned[:count])
-        proposed = predict_weights(mapping, stage.positions[judged]).weights
+        proposed = WeightPredictor(mapping).predict(stage.positions[judged]).weights
         _start_row(stage, str(count), "the mapping", proposed, judged)
     print()
 

@@ -24,7 +24,7 @@ from tests.model.synthetic import sample_skin
 from usdface.core.assets import References, TrainedMapping
 from usdface.demo.rig import demo_rig
 from usdface.model.mapping.motion_space import fit_motion_space
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS, proposal_error
 from usdface.usdio.rig.read import read_rig
@@ -105,7 +105,7 @@ def _errors(
     mapping: TrainedMapping, take: SimulatedTake, half: int, span: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return error and uncertainty of the second half: (frames, regions) each [mm]."""
-    found = predict_weights(mapping, take.positions[half:])
+    found = WeightPredictor(mapping).predict(take.positions[half:])
     off = (found.weights - take.weights[half:]) / span
     grams = mapping.arrays["uncertainty_grams"]
     squared = np.einsum("fs,rst,ft->fr", off, grams, off, optimize=True)

@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.media.picture.image import read_image_metadata
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.review.verdict import SolveEvidence, judge_solve
 from usdface.runner.execute import execute
@@ -282,7 +282,7 @@ def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> Non
     reopened = read_mapping(shot / "bits.mapping.usdc")
     markers = read_take(shot / "shot.clean.take.usda").markers
     first, second = (
-        predict_weights(each, align_markers(each, markers, rate=120.0).positions)
+        WeightPredictor(each).predict(align_markers(each, markers, rate=120.0).positions)
         for each in (mapping, reopened)
     )
     np.testing.assert_array_equal(first.weights, second.weights)

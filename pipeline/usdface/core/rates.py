@@ -150,7 +150,7 @@ def exact_rate(value: float, *, where: str) -> Fraction:
             f"{_HIGHEST_RATE}; export the take again with its rate"
         )
     whole = round(value)
-    if whole and abs(value - whole) <= _WHOLE_TOLERANCE * value and value / whole > 1 - 5e-4:
+    if whole and abs(value - whole) <= _WHOLE_TOLERANCE * value:
         return Fraction(whole)
     for base in NTSC_BASES:
         ntsc = Fraction(base * 1000, 1001)

@@ -16,7 +16,7 @@ from tests.model.synthetic import (
 )
 from usdface.model.mapping import candidates, train
 from usdface.model.mapping.candidates import paired_t, time_blocks
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import forward_model
 
@@ -91,8 +91,8 @@ def test_landmarks_that_err_together_are_believed_less(
     references = references_of(dense, np.arange(0, frames, apart))
     mapping = train_mapping(references, ranges=dense.ranges, gram=dense.gram, method="face_map")
     between = dense.positions[apart // 2 :: apart]
-    common = predict_weights(mapping, between)
+    common = WeightPredictor(mapping).predict(between)
     monkeypatch.setattr(forward_model, "_COMMON_ERRORS", 0)
-    independent = predict_weights(mapping, between)
+    independent = WeightPredictor(mapping).predict(between)
     assert (common.residuals_mm**2).mean() > 1.01 * (independent.residuals_mm**2).mean()
     assert np.median(common.uncertainty / independent.uncertainty) > 1.05

@@ -8,7 +8,7 @@ from tests.model.mapping.test_uncertainty import CHOSEN, NAMES, face_in_parts
 from tests.model.synthetic import SHAPES, SyntheticFace, references_of, sample_skin
 from usdface.core.assets import TrainedMapping
 from usdface.model.mapping.coverage import CoverageModel
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.numerics.regression.reference_design import DesignKernel, posterior_shares
 
@@ -33,7 +33,8 @@ def train_on(face: SyntheticFace, rows: np.ndarray, *, still: int = 0) -> Traine
 def test_a_reference_covers_itself_and_more_references_cover_more() -> None:
     face = face_in_parts(noise=0.05)
     few, many = (
-        predict_weights(train_on(face, CHOSEN[:count]), face.positions) for count in (10, 40)
+        WeightPredictor(train_on(face, CHOSEN[:count])).predict(face.positions)
+        for count in (10, 40)
     )
     assert many.coverage[CHOSEN].min() > 0.9
     assert many.coverage[:, 0].mean() > few.coverage[:, 0].mean()
@@ -43,7 +44,7 @@ def test_a_reference_covers_itself_and_more_references_cover_more() -> None:
 
 def test_what_no_reference_moves_is_not_covered_though_the_rest_is() -> None:
     face = face_in_parts(noise=0.05)
-    found = predict_weights(train_on(face, CHOSEN, still=2), face.positions)
+    found = WeightPredictor(train_on(face, CHOSEN, still=2)).predict(face.positions)
     moves = np.linalg.norm(face.weights[:, :2], axis=1) > 0.5
     brows, mouth = found.regions.index("brows"), found.regions.index("mouth")
     assert found.coverage[moves, brows].max() < 0.6
@@ -56,8 +57,8 @@ def test_an_unseen_marker_counts_as_the_others_let_expect() -> None:
     visible = np.ones(face.positions.shape[:2], dtype=bool)
     visible[::2, -1] = False
     spoiled = np.where(visible[:, :, None], face.positions, 1e6)
-    whole = predict_weights(mapping, face.positions).coverage
-    found = predict_weights(mapping, spoiled, visible=visible).coverage
+    whole = WeightPredictor(mapping).predict(face.positions).coverage
+    found = WeightPredictor(mapping).predict(spoiled, visible=visible).coverage
     np.testing.assert_array_equal(found[1::2], whole[1::2])
     np.testing.assert_allclose(found[::2], whole[::2], atol=0.1)
 

@@ -10,7 +10,7 @@ from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import find_head_space
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 
 pytestmark = pytest.mark.usefixtures("without_comparison")
@@ -34,7 +34,7 @@ def test_a_take_in_another_head_space_is_moved_back() -> None:
         trained(), markers_of(other, positions=moved.astype(np.float32)), rate=60.0
     )
     np.testing.assert_allclose(mapped.positions, other.positions, atol=0.1)
-    weights = predict_weights(trained(), mapped.positions, visible=mapped.visible).weights
+    weights = WeightPredictor(trained()).predict(mapped.positions, visible=mapped.visible).weights
     assert np.sqrt(((weights - other.weights) ** 2).mean()) < 0.02
 
 
@@ -69,7 +69,7 @@ def test_missing_markers_are_marked_unseen() -> None:
     mapped = align_markers(trained(), fewer, rate=60.0)
     assert find_head_space(face_of_mapping(trained()), fewer, rate=60.0).missing == ("m09", "m14")
     assert not mapped.visible[:, [9, 14]].any()
-    prediction = predict_weights(trained(), mapped.positions, visible=mapped.visible)
+    prediction = WeightPredictor(trained()).predict(mapped.positions, visible=mapped.visible)
     assert np.sqrt(((prediction.weights - face.weights) ** 2).mean()) < 0.03
 
 
@@ -156,7 +156,7 @@ def test_a_mapping_without_its_arrays_asks_to_be_trained_again() -> None:
     face, mapping = synthetic_face(), trained()
     arrays = {k: v for k, v in mapping.arrays.items() if k != "motion_mean"}
     with pytest.raises(InputError, match="lacks the array 'motion_mean'; train it again"):
-        predict_weights(replace(mapping, arrays=arrays), face.positions[:2])
+        WeightPredictor(replace(mapping, arrays=arrays)).predict(face.positions[:2])
 
 
 @pytest.mark.parametrize("kept", [2, 0])

@@ -12,7 +12,7 @@ from usdface.model.mapping import uncertainty
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of, noise_variance
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.predict import basis_of, predict_weights
+from usdface.model.mapping.predict import WeightPredictor, basis_of
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, REMOVED_METHODS, find_method
 
@@ -26,7 +26,7 @@ def trained(face: SyntheticFace, method: str = "ridge") -> TrainedMapping:
 
 def test_weights_stay_within_their_ranges() -> None:
     face = synthetic_face(bend=0.5)
-    weights = predict_weights(trained(face), face.positions * 1.2).weights
+    weights = WeightPredictor(trained(face)).predict(face.positions * 1.2).weights
     assert weights.min() >= 0.0
     assert weights.max() <= 1.0
 
@@ -34,8 +34,8 @@ def test_weights_stay_within_their_ranges() -> None:
 def test_frames_do_not_depend_on_their_neighbours() -> None:
     face = synthetic_face()
     mapping = trained(face, "rbf")
-    whole = predict_weights(mapping, face.positions)
-    part = predict_weights(mapping, face.positions[500:510])
+    whole = WeightPredictor(mapping).predict(face.positions)
+    part = WeightPredictor(mapping).predict(face.positions[500:510])
     np.testing.assert_allclose(part.weights, whole.weights[500:510], atol=1e-12)
     np.testing.assert_allclose(part.uncertainty, whole.uncertainty[500:510], rtol=1e-4)
 
@@ -47,8 +47,8 @@ def test_unseen_markers_are_spoken_for_by_the_others() -> None:
     visible[:, [6, 11, 17]] = False
     hidden = face.positions.copy()
     hidden[~visible] = np.nan
-    prediction = predict_weights(mapping, hidden, visible=visible)
-    whole = predict_weights(mapping, face.positions)
+    prediction = WeightPredictor(mapping).predict(hidden, visible=visible)
+    whole = WeightPredictor(mapping).predict(face.positions)
     assert np.sqrt(((prediction.weights - whole.weights) ** 2).mean()) < 0.02
     assert prediction.uncertainty[:, 0].mean() > whole.uncertainty[:, 0].mean()
 
@@ -64,28 +64,27 @@ def test_filled_samples_move_weights_as_others_and_are_believed_as_far_as_known(
     confidence[10:20] = 0.95  # a sample seen just before
     confidence[30:40, ::2] = 0.05
     confidence[50:60] = 0.01
-    seen = predict_weights(mapping, clip)
-    found = predict_weights(mapping, clip, confidence=confidence)
+    seen = WeightPredictor(mapping).predict(clip)
+    found = WeightPredictor(mapping).predict(clip, confidence=confidence)
     np.testing.assert_array_equal(found.weights, seen.weights)
     ratio = found.uncertainty[:, 0] / seen.uncertainty[:, 0]
     assert (np.delete(ratio, [*range(30, 40), *range(50, 60)]) == 1).all()
     assert ratio[30:40].min() > 1.1
-    unseen = predict_weights(mapping, clip, visible=confidence > 0.02)
+    unseen = WeightPredictor(mapping).predict(clip, visible=confidence > 0.02)
     np.testing.assert_allclose(found.uncertainty[50:60], unseen.uncertainty[50:60], rtol=0.4)
-    alone = predict_weights(mapping, clip[35:36], confidence=confidence[35:36])
+    alone = WeightPredictor(mapping).predict(clip[35:36], confidence=confidence[35:36])
     np.testing.assert_allclose(alone.uncertainty, found.uncertainty[35:36], rtol=1e-3)
 
 
 def test_with_no_marker_seen_nothing_is_certain() -> None:
     face = synthetic_face()
     mapping = trained(face)
-    prediction = predict_weights(
-        mapping,
+    prediction = WeightPredictor(mapping).predict(
         np.full((3, MARKERS, 3), np.nan),
         visible=np.zeros((3, MARKERS), dtype=bool),
     )
     assert np.isfinite(prediction.weights).all()
-    seen = predict_weights(mapping, face.positions[:3]).uncertainty[:, 0]
+    seen = WeightPredictor(mapping).predict(face.positions[:3]).uncertainty[:, 0]
     assert (prediction.uncertainty[:, 0] > 10 * seen).all()
 
 
@@ -95,7 +94,7 @@ def test_a_frame_below_the_stated_share_of_markers_is_named() -> None:
     least = int(np.ceil(MINIMUM_SHARE * MARKERS))
     visible[1, least:] = False
     visible[2, least - 1 :] = False
-    prediction = predict_weights(trained(face), face.positions[:3], visible=visible)
+    prediction = WeightPredictor(trained(face)).predict(face.positions[:3], visible=visible)
     assert prediction.few_markers.tolist() == [False, False, True]
 
 
@@ -141,11 +140,11 @@ def test_takes_of_pairs_that_cannot_be_read_are_refused(takes: str) -> None:
 def test_uncertainty_is_low_at_references_and_grows_with_strange_faces() -> None:
     face = synthetic_face()
     mapping = trained(face)
-    at_references = predict_weights(mapping, face.positions[::30]).uncertainty[:, 0]
+    at_references = WeightPredictor(mapping).predict(face.positions[::30]).uncertainty[:, 0]
     medians = []
     for gain in (1.0, 2.0, 4.0, 8.0):
         strange = face.neutral + gain * (face.positions - face.neutral)
-        medians.append(np.median(predict_weights(mapping, strange).uncertainty[:, 0]))
+        medians.append(np.median(WeightPredictor(mapping).predict(strange).uncertainty[:, 0]))
     assert medians == sorted(medians)
     assert medians[-1] > 5 * at_references.max()
 
@@ -155,26 +154,26 @@ def test_residual_tells_a_swapped_pair_of_markers() -> None:
     mapping = trained(face)
     swapped = face.positions.copy()
     swapped[:, [8, 15]] = swapped[:, [15, 8]]
-    clean = predict_weights(mapping, face.positions).residual_mm[:, 0]
-    assert predict_weights(mapping, swapped).residual_mm[:, 0].min() > 5 * clean.max()
+    clean = WeightPredictor(mapping).predict(face.positions).residual_mm[:, 0]
+    assert WeightPredictor(mapping).predict(swapped).residual_mm[:, 0].min() > 5 * clean.max()
 
 
 def test_no_frames_give_no_weights() -> None:
     face = synthetic_face()
-    assert predict_weights(trained(face), face.positions[:0]).weights.shape == (0, 6)
+    assert WeightPredictor(trained(face)).predict(face.positions[:0]).weights.shape == (0, 6)
 
 
 def test_positions_that_do_not_fit_are_refused() -> None:
     face = synthetic_face()
     mapping = trained(face)
     with pytest.raises(InputError, match=r"the mapping reads \(frames, 24, 3\)"):
-        predict_weights(mapping, face.positions[:, :5])
+        WeightPredictor(mapping).predict(face.positions[:, :5])
     broken = face.positions.copy()
     broken[7, 3] = np.nan
     with pytest.raises(InputError, match="marker m03 of frame index 7 is not finite; clean"):
-        predict_weights(mapping, broken)
+        WeightPredictor(mapping).predict(broken)
     with pytest.raises(InputError, match="visible has shape"):
-        predict_weights(mapping, face.positions, visible=np.ones((2, 2), dtype=bool))
+        WeightPredictor(mapping).predict(face.positions, visible=np.ones((2, 2), dtype=bool))
 
 
 @pytest.mark.parametrize("method", ["ridge", "rbf", "face_map"])
@@ -182,8 +181,8 @@ def test_takes_in_single_precision_are_told_as_in_double(method: str) -> None:
     face = synthetic_face(noise=0.05)
     mapping = trained(face, method)
     single = face.positions.astype(np.float32)
-    found = predict_weights(mapping, single)
-    wanted = predict_weights(mapping, single.astype(np.float64))
+    found = WeightPredictor(mapping).predict(single)
+    wanted = WeightPredictor(mapping).predict(single.astype(np.float64))
     np.testing.assert_allclose(found.weights, wanted.weights, atol=1e-5)
     np.testing.assert_allclose(found.uncertainty, wanted.uncertainty, rtol=1e-3)
     np.testing.assert_allclose(found.residual_mm, wanted.residual_mm, atol=1e-4)
@@ -199,7 +198,7 @@ def test_a_mapping_whose_arrays_do_not_fit_is_refused_or_read(name: str) -> None
         left = {other: each for other, each in mapping.arrays.items() if other != array}
         for arrays in (left, left | {array: value[1:]}, left | {array: np.zeros((0,))}):
             try:
-                predict_weights(replace(mapping, arrays=arrays), face.positions[:4])
+                WeightPredictor(replace(mapping, arrays=arrays)).predict(face.positions[:4])
             except InputError:
                 refused += 1
     assert refused > len(mapping.arrays)
@@ -212,7 +211,7 @@ def test_blocks_of_frames_equal_the_method_that_was_judged_cut_off_at_the_ranges
     z = marker_coordinates(motion_of(mapping), face.positions)
     exact = find_method(name).predict(mapping.arrays, mapping.settings, z)
     exact = np.clip(exact, mapping.ranges[:, 0], mapping.ranges[:, 1])
-    found = predict_weights(mapping, face.positions).weights
+    found = WeightPredictor(mapping).predict(face.positions).weights
     np.testing.assert_allclose(found, exact, atol=1e-9)
 
 
@@ -220,7 +219,7 @@ def test_blocks_of_frames_equal_the_method_that_was_judged_cut_off_at_the_ranges
 def test_a_mapping_by_a_method_of_earlier_versions_is_to_be_trained_again(name: str) -> None:
     face = synthetic_face()
     with pytest.raises(InputError, match=f"trained by {name}, which was removed .*; train again"):
-        predict_weights(replace(trained(face), method=name), face.positions)
+        WeightPredictor(replace(trained(face), method=name)).predict(face.positions)
     with pytest.raises(InputError, match=f"^method {name} was removed in .*; use auto or face_map"):
         trained(face, name)
 
@@ -230,7 +229,7 @@ def test_a_regression_on_components_of_earlier_versions_is_to_be_trained_again()
     mapping = trained(face, "face_map")
     earlier = mapping.arrays | {"slope": mapping.arrays["slope"][:20]}
     with pytest.raises(InputError, match=r"reads 20 values a frame, such as .*; train it again"):
-        predict_weights(replace(mapping, arrays=earlier), face.positions)
+        WeightPredictor(replace(mapping, arrays=earlier)).predict(face.positions)
 
 
 def test_arrays_that_earlier_versions_added_are_not_read() -> None:
@@ -238,8 +237,8 @@ def test_arrays_that_earlier_versions_added_are_not_read() -> None:
     mapping = trained(face, "face_map")
     more = replace(mapping, arrays=mapping.arrays | {"condensed_dual": np.ones((2, 4, 6))})
     np.testing.assert_array_equal(
-        predict_weights(more, face.positions).weights,
-        predict_weights(mapping, face.positions).weights,
+        WeightPredictor(more).predict(face.positions).weights,
+        WeightPredictor(mapping).predict(face.positions).weights,
     )
 
 

@@ -16,7 +16,7 @@ from usdface.core.assets import References, TrainedMapping
 from usdface.model.mapping import take_neutral
 from usdface.model.mapping.head_space import find_head_space
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.take_neutral import find_take_offsets
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.forward_model import fit_forward_model
@@ -54,7 +54,7 @@ def solve(mapping: TrainedMapping, positions: np.ndarray, take: str) -> np.ndarr
     markers = markers_of(replace(MADE, positions=positions))
     space = find_head_space(face_of_mapping(mapping), markers, rate=60, take=take)
     placed = space.place(markers)
-    return predict_weights(mapping, placed.positions, visible=placed.visible).weights
+    return WeightPredictor(mapping).predict(placed.positions, visible=placed.visible).weights
 
 
 def test_offsets_are_those_of_generalised_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.model.mapping import train
 from usdface.model.mapping.candidates import observable_shapes
 from usdface.model.mapping.checks import check_references
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS
 from usdface.model.regressions.base import Choices
@@ -28,7 +28,7 @@ def test_a_straight_face_is_recovered(method: str) -> None:
     mapping = train_mapping(
         references_of(face, CHOSEN), ranges=face.ranges, gram=face.gram, method=method
     )
-    error = predict_weights(mapping, face.positions).weights - face.weights
+    error = WeightPredictor(mapping).predict(face.positions).weights - face.weights
     assert np.sqrt((error**2).mean()) < 0.03
 
 
@@ -97,7 +97,7 @@ def test_two_pairs_are_the_fewest_that_train(method: str) -> None:
     mapping = train_mapping(
         references_of(face, np.array([0, 600])), ranges=face.ranges, gram=face.gram, method=method
     )
-    assert np.isfinite(predict_weights(mapping, face.positions[:50]).weights).all()
+    assert np.isfinite(WeightPredictor(mapping).predict(face.positions[:50]).weights).all()
 
 
 @pytest.mark.parametrize("method", [*sorted(MAPPING_METHODS), "auto"])
@@ -105,14 +105,14 @@ def test_a_few_pairs_of_one_short_moment_train(method: str) -> None:
     face = synthetic_face()
     close = references_of(face, np.arange(0, 80, 10))
     mapping = train_mapping(close, ranges=face.ranges, gram=face.gram, method=method)
-    assert np.isfinite(predict_weights(mapping, face.positions[:50]).weights).all()
+    assert np.isfinite(WeightPredictor(mapping).predict(face.positions[:50]).weights).all()
 
 
 def test_without_a_motion_space_the_pairs_span_their_own() -> None:
     face = synthetic_face(noise=0.001)
     pairs = replace(references(), motion=None)
     mapping = train_mapping(pairs, ranges=face.ranges, gram=face.gram)
-    error = predict_weights(mapping, face.positions).weights - face.weights
+    error = WeightPredictor(mapping).predict(face.positions).weights - face.weights
     assert np.sqrt((error**2).mean()) < 0.03
 
 
@@ -219,7 +219,7 @@ def test_markers_that_never_move_do_no_harm(method: str) -> None:
     mapping = train_mapping(
         references_of(stuck, CHOSEN), ranges=face.ranges, gram=face.gram, method=method
     )
-    prediction = predict_weights(mapping, positions)
+    prediction = WeightPredictor(mapping).predict(positions)
     assert np.isfinite(prediction.uncertainty).all()
     error = prediction.weights - face.weights
     assert np.sqrt((error**2).mean()) < (0.25 if method == "d06" else 0.03)

@@ -16,7 +16,7 @@ from tests.model.synthetic import (
 )
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model.mapping.predict import Prediction, predict_weights
+from usdface.model.mapping.predict import Prediction, WeightPredictor
 from usdface.model.mapping.regions import regions_without_shapes
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import (
@@ -72,7 +72,7 @@ def test_nine_of_ten_errors_are_within_what_is_said(noise: float) -> None:
         face = face_in_parts(seed, noise)
         mapping = trained(face)
         for shown in (face, face_in_parts(seed + 4, noise)):
-            found = predict_weights(mapping, shown.positions)
+            found = WeightPredictor(mapping).predict(shown.positions)
             assert found.regions[0] == "face"
             held.append(
                 (face_errors(shown, found) < LIMIT_DEVIATIONS * found.uncertainty[:, 0]).mean()
@@ -86,7 +86,7 @@ def test_noise_errs_where_references_are_near_too() -> None:
     mapping = trained(face)
     rng = np.random.default_rng(0)
     again = face.positions[CHOSEN] + rng.normal(size=(len(CHOSEN), MARKERS, 3))
-    found = predict_weights(mapping, again)
+    found = WeightPredictor(mapping).predict(again)
     error = face_errors(replace(face, weights=face.weights[CHOSEN]), found)
     assert (error < 2 * LIMIT_DEVIATIONS * found.uncertainty[:, 0]).mean() > 0.8
 
@@ -96,8 +96,8 @@ def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
     mapping = trained(face)
     jumped = face.positions[:50].copy()
     jumped[:, RIGID + 1] += 20.0  # of the brows
-    before = predict_weights(mapping, face.positions[:50])
-    after = predict_weights(mapping, jumped)
+    before = WeightPredictor(mapping).predict(face.positions[:50])
+    after = WeightPredictor(mapping).predict(jumped)
     assert after.regions == ("face", "brows", "lids", "mouth")
     grown = (after.residual_mm - before.residual_mm).mean(axis=0)
     assert grown[1] > 2 * grown[2:].max()
@@ -114,7 +114,7 @@ def with_brows_moved_aside(positions: np.ndarray) -> np.ndarray:
 def test_skin_that_the_solve_leaves_behind_is_an_error() -> None:
     face = face_in_parts(noise=0.05)
     mapping = trained(face)
-    found = predict_weights(mapping, with_brows_moved_aside(face.positions[:50]))
+    found = WeightPredictor(mapping).predict(with_brows_moved_aside(face.positions[:50]))
     assert (found.uncertainty[:, 1] > 1.5).all()
     assert np.median(found.uncertainty[:, 3]) < 0.5
 
@@ -132,7 +132,7 @@ def test_a_rig_of_another_size_has_the_same_weights_and_errors_in_proportion(siz
             rest=RestPlaces(times * face.neutral, times * face.neutral, times),
             method="ridge",
         )
-        return predict_weights(mapping, with_brows_moved_aside(face.positions[:50]))
+        return WeightPredictor(mapping).predict(with_brows_moved_aside(face.positions[:50]))
 
     life_size, found = solved(1.0), solved(size)
     np.testing.assert_allclose(found.weights, life_size.weights, atol=1e-4)
@@ -158,7 +158,9 @@ def test_a_shape_that_no_reference_moves_is_uncertain_where_it_moves() -> None:
     brow, weights = np.zeros((2, SHAPES)), face.weights[0]
     brow[:] = weights
     brow[0, :2], brow[1, :2] = 0.0, (0.8, 0.0)
-    found = predict_weights(mapping, face.neutral + np.einsum("fs,smc->fmc", brow, face.shapes))
+    found = WeightPredictor(mapping).predict(
+        face.neutral + np.einsum("fs,smc->fmc", brow, face.shapes)
+    )
     assert found.uncertainty[1, 1] > 3 * found.uncertainty[0, 1]
     assert found.weights[1, 0] > 0.4
 
@@ -169,7 +171,7 @@ def test_a_part_without_a_marker_seen_has_no_residual() -> None:
     visible[:, RIGID : RIGID + 6] = False  # the brows
     moved = face.positions[:10].copy()
     moved[:, RIGID:] += 20.0
-    found = predict_weights(trained(face), moved, visible=visible)
+    found = WeightPredictor(trained(face)).predict(moved, visible=visible)
     np.testing.assert_array_equal(found.residual_mm[:, 1], 0.0)
     assert (found.residual_mm[:, 2] > 0).all()
 
@@ -179,7 +181,7 @@ def test_a_mapping_of_an_earlier_version_is_refused() -> None:
     mapping = trained(face)
     old = replace(mapping, arrays={k: v for k, v in mapping.arrays.items() if "region" not in k})
     with pytest.raises(InputError, match=r"lacks region_markers.*train it again"):
-        predict_weights(old, face.positions)
+        WeightPredictor(old).predict(face.positions)
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.4, 1.0])
@@ -226,7 +228,7 @@ def test_random_errors_of_keys_count_as_much_as_the_solve_follows_them(
         mapping = train_mapping(
             references, ranges=face.ranges, gram=face.gram, skin=skin, method="face_map"
         )
-        found = predict_weights(mapping, face.positions)
+        found = WeightPredictor(mapping).predict(face.positions)
         error, said = face_errors(face, found), found.uncertainty[:, 0]
         assert np.median(said) < 2 * np.sqrt((error**2).mean())
         held.append((error < LIMIT_DEVIATIONS * said).mean())
@@ -253,7 +255,7 @@ def test_a_solve_learnt_from_proposals_is_as_uncertain_as_they_are() -> None:
     mapping = trained(face)
     own = np.array([0.04, 2.0])
     told = replace(mapping, arrays=mapping.arrays | {"uncertainty_proposals": own})
-    before, after = (predict_weights(each, face.positions) for each in (mapping, told))
+    before, after = (WeightPredictor(each).predict(face.positions) for each in (mapping, told))
     np.testing.assert_array_equal(before.weights, after.weights)
     added = after.uncertainty**2 - before.uncertainty**2
     moved2 = np.einsum("fs,st,ft->f", after.weights, face.gram, after.weights)
@@ -347,7 +349,7 @@ def test_errors_that_low_confidence_states_are_counted_once() -> None:
         moved = face.positions.copy()
         draw = np.random.default_rng(seed).standard_normal(face.neutral.shape)
         moved[:, skin] += deviation_mm * draw[skin]
-        found = predict_weights(mapping, moved, confidence=confidence)
+        found = WeightPredictor(mapping).predict(moved, confidence=confidence)
         errors.append(face_errors(face, found))
         stated.append(found.uncertainty[:, 0])
     assert np.mean(np.array(errors) <= LIMIT_DEVIATIONS * np.array(stated)) >= 0.9

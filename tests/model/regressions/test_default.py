@@ -11,7 +11,7 @@ from tests.model.synthetic import RIGID, SyntheticFace, references_of, sample_sk
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import face_map, frame_solve
 from usdface.model.regressions.base import Choices, RestPlaces
@@ -35,7 +35,7 @@ def trained(*, skin: bool, bent: float = 0.0, chosen: np.ndarray = CHOSEN) -> Tr
 
 def rms(mapping: TrainedMapping, *, seed: int, bent: float = 0.0) -> float:
     face = synthetic_face(bend=bent, seed=seed)
-    error = predict_weights(mapping, face.positions).weights - face.weights
+    error = WeightPredictor(mapping).predict(face.positions).weights - face.weights
     return float(np.sqrt((error**2).mean()))
 
 
@@ -61,7 +61,7 @@ def test_more_dimensions_than_the_take_moves_in_do_no_harm(skin: bool) -> None:
         method="face_map",
         choices=Choices((20,)),
     )
-    error = predict_weights(mapping, face.positions).weights - face.weights
+    error = WeightPredictor(mapping).predict(face.positions).weights - face.weights
     assert np.sqrt((error**2).mean()) < 0.02
 
 
@@ -85,7 +85,7 @@ def test_it_is_better_than_a_line_on_skin_that_saturates(skin: bool) -> None:
             skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)) if skin else None,
             method=method,
         )
-        error = predict_weights(mapping, new.positions).weights - new.weights
+        error = WeightPredictor(mapping).predict(new.positions).weights - new.weights
         errors.append(np.sqrt((error**2).mean()))
     assert errors[1] < 0.8 * errors[0]
 
@@ -123,8 +123,8 @@ def test_ranges_of_any_width_give_the_same_face() -> None:
         method="face_map",
     )
     new = synthetic_face(bend=0.2, seed=3).positions[:200]
-    expected = 2 * predict_weights(first, new).weights
-    np.testing.assert_allclose(predict_weights(second, new).weights, expected, atol=1e-6)
+    expected = 2 * WeightPredictor(first).predict(new).weights
+    np.testing.assert_allclose(WeightPredictor(second).predict(new).weights, expected, atol=1e-6)
 
 
 def test_skin_of_other_shapes_is_refused() -> None:
@@ -184,7 +184,7 @@ def test_shapes_that_references_only_use_together_are_told_apart() -> None:
     )
     wink = np.zeros((5, both.shape[1]))
     wink[:, 0] = np.linspace(0.2, 1.0, 5)
-    found = predict_weights(mapping, markers(wink)).weights
+    found = WeightPredictor(mapping).predict(markers(wink)).weights
     assert found[-1, 0] > 0.75
     assert found[-1, 1] < 0.25
 
@@ -221,9 +221,9 @@ def test_rigs_of_very_many_shapes_are_solved_without_a_matrix_for_each_frame(mon
     """Without the quadratic part both ways minimise the same sum."""
     mapping = trained(skin=True)
     new = synthetic_face(seed=3).positions[:100]
-    each = predict_weights(mapping, new)
+    each = WeightPredictor(mapping).predict(new)
     monkeypatch.setattr(frame_solve, "_MAX_DENSE_SHAPES", 0)
-    shared = predict_weights(mapping, new)
+    shared = WeightPredictor(mapping).predict(new)
     assert np.abs(shared.weights - each.weights).mean() < 0.02
     ratio = shared.uncertainty[:, 0] / each.uncertainty[:, 0]
     assert 0.3 < np.median(ratio) < 3
@@ -274,7 +274,7 @@ def test_markers_do_not_move_a_tongue_that_the_jaw_moves_as_it_moves_them() -> N
     )
     moved = face.positions[:200].copy()
     moved[:, RIGID : RIGID + 4] += 2.0
-    assert predict_weights(mapping, moved).weights[:, -1].max() < 0.02
+    assert WeightPredictor(mapping).predict(moved).weights[:, -1].max() < 0.02
 
 
 def test_gaze_without_keys_stays_at_rest() -> None:
@@ -299,7 +299,7 @@ def test_gaze_without_keys_stays_at_rest() -> None:
             skin=shapes,
             method="face_map",
         )
-        found.append(predict_weights(mapping, moved).weights[:, -1].max())
+        found.append(WeightPredictor(mapping).predict(moved).weights[:, -1].max())
     assert found[0] < 0.01
     assert found[1] > 0.3
 
@@ -315,7 +315,7 @@ def test_very_few_pairs_give_what_geometry_can(count: int) -> None:
         rest=RestPlaces(face.neutral[RIGID:]),
         method="face_map",
     )
-    found = predict_weights(mapping, face.positions[:50])
+    found = WeightPredictor(mapping).predict(face.positions[:50])
     assert np.isfinite(found.weights).all()
     assert np.isfinite(found.uncertainty).all()
 
@@ -344,6 +344,6 @@ def test_in_betweens_of_the_rig_are_followed() -> None:
             skin=np.concatenate(motion),
             method="face_map",
         )
-        solved = predict_weights(mapping, new.positions).weights
+        solved = WeightPredictor(mapping).predict(new.positions).weights
         errors.append(float(np.sqrt(((solved - new.weights) ** 2).mean())))
     assert errors[1] < 0.7 * errors[0]

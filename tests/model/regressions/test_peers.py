@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.model.synthetic import references_of, synthetic_face
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, hybrid, kernel_cca, multiquadric
 
@@ -32,7 +32,7 @@ def error_on_slow_starters(method: str) -> float:
     mapping = train_mapping(
         references_of(face, CHOSEN), ranges=face.ranges, gram=face.gram, method=method
     )
-    off = predict_weights(mapping, face.positions).weights - face.weights
+    off = WeightPredictor(mapping).predict(face.positions).weights - face.weights
     return float(np.sqrt((off**2).mean()))
 
 
@@ -44,7 +44,7 @@ def test_they_bend_where_a_line_cannot(method: str) -> None:
 def test_the_multiquadric_meets_its_pairs() -> None:
     face, mapping = trained("multiquadric")
     assert mapping.settings["smooth"] is False
-    met = predict_weights(mapping, face.positions[CHOSEN]).weights
+    met = WeightPredictor(mapping).predict(face.positions[CHOSEN]).weights
     np.testing.assert_allclose(met, face.weights[CHOSEN], atol=1e-8)
 
 
@@ -72,7 +72,7 @@ def test_two_faces_alike_that_are_keyed_apart_do_not_break_training(method: str)
         gram=face.gram,
         method=method,
     )
-    assert np.isfinite(predict_weights(mapping, face.positions).weights).all()
+    assert np.isfinite(WeightPredictor(mapping).predict(face.positions).weights).all()
 
 
 @pytest.mark.parametrize("method", PEERS)
@@ -83,7 +83,7 @@ def test_pairs_all_keyed_the_same_predict_that(method: str) -> None:
     mapping = train_mapping(
         replace(references, weights=same), ranges=face.ranges, gram=face.gram, method=method
     )
-    predicted = predict_weights(mapping, face.positions[CHOSEN]).weights
+    predicted = WeightPredictor(mapping).predict(face.positions[CHOSEN]).weights
     np.testing.assert_allclose(predicted, same, atol=1e-6)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.model.synthetic import references_of, synthetic_face
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, RETARGET_METHODS
 from usdface.model.regressions.base import Choices, Face, Pairs
@@ -71,6 +71,6 @@ def test_a_head_placed_a_hair_aside_has_the_same_face(name: str) -> None:
         method=name,
         choices=Choices((20,)),
     )
-    before = predict_weights(mapping, face.positions[:200]).weights
-    after = predict_weights(mapping, face.positions[:200] + 0.02).weights
+    before = WeightPredictor(mapping).predict(face.positions[:200]).weights
+    after = WeightPredictor(mapping).predict(face.positions[:200] + 0.02).weights
     np.testing.assert_allclose(after, before, atol=0.03)

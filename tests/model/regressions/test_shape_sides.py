@@ -8,7 +8,7 @@ import pytest
 from tests.model.synthetic import SyntheticFace, references_of, sample_skin, synthetic_face
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.rig_logic import Combination, CombinationMode, RigLogic
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.shape_sides import JOINED_OUTPUTS, ShapeSides
 
@@ -87,7 +87,9 @@ def train(face: SyntheticFace, method: str = "face_map") -> TrainedMapping:
 
 def test_a_shape_with_negative_weights_is_solved_as_well_as_two() -> None:
     two, one = turning(), with_one_shape(turning())
-    apart, together = (predict_weights(train(each), two.positions[600:]) for each in (two, one))
+    apart, together = (
+        WeightPredictor(train(each)).predict(two.positions[600:]) for each in (two, one)
+    )
     expected = apart.weights[:, 0] - apart.weights[:, 1]
     np.testing.assert_allclose(together.weights[:, 0], expected, atol=0.005)
     assert np.abs(together.weights[:, 0] - one.weights[600:, 0]).max() < 0.1
@@ -106,7 +108,7 @@ def test_other_methods_predict_whole_shapes_and_are_as_certain() -> None:
         ranges=2 * face.ranges - 1,
     )
     by_map, by_ridge = (
-        predict_weights(train(signed, method), face.positions[600:])
+        WeightPredictor(train(signed, method)).predict(face.positions[600:])
         for method in ("face_map", "ridge")
     )
     np.testing.assert_allclose(by_ridge.weights, signed.weights[600:], atol=0.02)
@@ -121,7 +123,8 @@ def test_shapes_of_negative_weights_alone_are_as_certain_as_others() -> None:
     )
     for method in ("face_map", "ridge"):
         usual, other = (
-            predict_weights(train(each, method), face.positions[600:]) for each in (face, mirrored)
+            WeightPredictor(train(each, method)).predict(face.positions[600:])
+            for each in (face, mirrored)
         )
         np.testing.assert_allclose(other.weights, -usual.weights, atol=1e-6)
         np.testing.assert_allclose(other.uncertainty, usual.uncertainty, rtol=1e-3)
@@ -131,7 +134,7 @@ def test_mappings_of_earlier_versions_predict_as_before() -> None:
     """Their outputs are the columns of sides; without sides, whole shapes."""
     face = with_one_shape(turning())
     mapping = train(face, "ridge")
-    usual = predict_weights(mapping, face.positions[600:620]).weights
+    usual = WeightPredictor(mapping).predict(face.positions[600:620]).weights
     sides = ShapeSides.from_arrays(mapping.arrays, mapping.ranges)
     columns = {
         name: sides.signs * mapping.arrays[name][..., sides.shapes]
@@ -140,13 +143,13 @@ def test_mappings_of_earlier_versions_predict_as_before() -> None:
     earlier = {name: each for name, each in mapping.arrays.items() if name != JOINED_OUTPUTS}
     divided = replace(mapping, arrays=earlier | columns)
     np.testing.assert_allclose(
-        predict_weights(divided, face.positions[600:620]).weights, usual, atol=1e-12
+        WeightPredictor(divided).predict(face.positions[600:620]).weights, usual, atol=1e-12
     )
     undivided = train(synthetic_face(), "ridge")
     earlier = {name: each for name, each in undivided.arrays.items() if name != "shape_sides"}
     np.testing.assert_array_equal(
-        predict_weights(replace(undivided, arrays=earlier), face.positions[:9]).weights,
-        predict_weights(undivided, face.positions[:9]).weights,
+        WeightPredictor(replace(undivided, arrays=earlier)).predict(face.positions[:9]).weights,
+        WeightPredictor(undivided).predict(face.positions[:9]).weights,
     )
 
 
@@ -170,6 +173,6 @@ def test_combinations_of_a_shape_with_negative_weights_are_solved(mode: Combinat
         method="face_map",
     )
     assert len(mapping.arrays["shape_sides"]) == len(face.ranges) + 1
-    error = predict_weights(mapping, positions[600:]).weights - face.weights[600:]
-    alone = predict_weights(train(face), face.positions[600:]).weights - face.weights[600:]
+    error = WeightPredictor(mapping).predict(positions[600:]).weights - face.weights[600:]
+    alone = WeightPredictor(train(face)).predict(face.positions[600:]).weights - face.weights[600:]
     assert np.sqrt((error**2).mean()) < 1.5 * np.sqrt((alone**2).mean())

@@ -17,7 +17,7 @@ from usdface.core.assets import MotionSpace, TrainedMapping
 from usdface.model.mapping.head_space import find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space, motion_without_errors
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.numerics.rigid import pose_error
 from usdface.numerics.rigid.pose_error import ExpressionMotion, expression_motion
@@ -233,12 +233,12 @@ def test_a_slip_is_removed_from_references_and_takes() -> None:
     errors = []
     for each, take in ((expected, other), (mapping, slipped(other, 3)), (mapping, other)):
         placed = align_markers(each, markers_of(take), rate=60.0)
-        found = predict_weights(each, placed.positions, visible=placed.visible).weights
+        found = WeightPredictor(each).predict(placed.positions, visible=placed.visible).weights
         errors.append(np.sqrt(((found - other.weights) ** 2).mean()))
     assert max(errors) < 0.03
     uncorrected = without_expressions(expected)
     placed = align_markers(uncorrected, markers_of(slipped(other, 3)), rate=60)
-    found = predict_weights(uncorrected, placed.positions, visible=placed.visible).weights
+    found = WeightPredictor(uncorrected).predict(placed.positions, visible=placed.visible).weights
     assert np.sqrt(((found - other.weights) ** 2).mean()) > 1.5 * max(errors)
 
 

@@ -12,7 +12,7 @@ from tests.steps.small_shot import Shot
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MappedMarkers
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.base import Choices
 from usdface.runner.execute import execute
@@ -52,11 +52,9 @@ def test_alpha_runs_from_one_part_to_the_other(
     answers = list(predict_with_keyed_blend(mapping, placed, tmp_path / "alpha.csv", blocks))
     blended = np.concatenate([each.weights for each in answers])
     ends = [
-        predict_weights(
-            replace(mapping, settings=mapping.settings | {"alpha": share}),
-            positions,
-            visible=visible,
-        ).weights
+        WeightPredictor(replace(mapping, settings=mapping.settings | {"alpha": share}))
+        .predict(positions, visible=visible)
+        .weights
         for share in (0.0, 1.0)
     ]
     share = np.linspace(0, 1, 100)[:, None]

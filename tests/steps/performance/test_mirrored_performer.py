@@ -12,7 +12,7 @@ from tests.steps.small_shot import Shot
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.deformer import Deformer
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.numerics.measure.face_regions import mirrored_shapes
 from usdface.usdio.mapping import read_mapping
@@ -87,8 +87,8 @@ def test_the_mirrored_markers_of_a_performer_drive_the_other_side(finished_shot:
     mirror = Mirror(mapping.marker_names, mapping.neutral)
     positions = frames_of(finished_shot, mapping)
     shapes = mirrored_shapes(mapping.shape_names)
-    plain = predict_weights(mapping, positions).weights
-    seen = predict_weights(mapping, mirror.positions(positions)).weights
+    plain = WeightPredictor(mapping).predict(positions).weights
+    seen = WeightPredictor(mapping).predict(mirror.positions(positions)).weights
     told = np.array([not name.startswith("eyeLook") for name in mapping.shape_names])
     away = np.sqrt(((seen - plain[:, shapes])[:, told] ** 2).mean())
     assert away < 0.04  # what the actor's halves differ by; references showed one of them only
@@ -128,7 +128,7 @@ def test_training_on_the_mirror_image_gives_the_mirrored_mapping(
         **given,
     )
     positions = frames_of(finished_shot, mapping)
-    plain = predict_weights(mapping, positions).weights
-    seen = predict_weights(other, mirror.positions(positions)).weights
+    plain = WeightPredictor(mapping).predict(positions).weights
+    seen = WeightPredictor(other).predict(mirror.positions(positions)).weights
     np.testing.assert_allclose(seen, plain[:, shapes], atol=5e-6)  # single precision
     assert np.abs(seen - plain).max() > 0.3

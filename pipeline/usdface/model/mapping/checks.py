@@ -108,18 +108,14 @@ def _shape_faults(references: References, ranges: FloatArray, gram: FloatArray |
 
 def _value_faults(references: References) -> list[str]:
     faults = []
-    for pair in np.flatnonzero(~np.isfinite(references.markers).all(axis=(1, 2))):
-        bad = np.flatnonzero(~np.isfinite(references.markers[pair]).all(axis=1))
-        names = first_few([references.marker_names[m] for m in bad], most=3)
-        faults.append(
-            f"{pair_name(references, int(pair))}: markers {names} are not finite; clean the take"
-        )
-    for pair in np.flatnonzero(~np.isfinite(references.weights).all(axis=1)):
-        bad = np.flatnonzero(~np.isfinite(references.weights[pair]))
-        names = first_few([references.shape_names[s] for s in bad], most=3)
-        faults.append(
-            f"{pair_name(references, int(pair))}: weights {names} are not finite; tune them again"
-        )
+    finite_markers = np.asarray(np.isfinite(references.markers).all(axis=2))
+    for kind, finite, every, remedy in (
+        ("markers", finite_markers, references.marker_names, "clean the take"),
+        ("weights", np.isfinite(references.weights), references.shape_names, "tune them again"),
+    ):
+        for pair in np.flatnonzero(~finite.all(axis=1)).tolist():
+            names = first_few([every[k] for k in np.flatnonzero(~finite[pair])], most=3)
+            faults.append(f"{pair_name(references, pair)}: {kind} {names} are not finite; {remedy}")
     still = np.flatnonzero(~np.isfinite(references.neutral).all(axis=1))
     if len(still):
         names = first_few([references.marker_names[m] for m in still], most=3)

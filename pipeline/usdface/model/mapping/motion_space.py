@@ -7,20 +7,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, FloatArray, equal_rows, sample_frames
+from usdface.core.arrays import BoolArray, FloatArray, RealArray, equal_rows, sample_frames
 from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.regression.pca import PCA, fit_pca, pca_from_moments, project, sum_moments
 from usdface.numerics.rigid.pose_error import PoseErrors
 
-_Positions = NDArray[np.float32] | NDArray[np.float64]
-
 
 def fit_motion_space(
-    clips: Sequence[_Positions], *, dimensions: int = 60, sample_count: int = 2000
+    clips: Sequence[RealArray], *, dimensions: int = 60, sample_count: int = 2000
 ) -> MotionSpace:
     """Fit principal components to stabilised markers of one or more takes.
 
@@ -72,7 +69,7 @@ def motion_from_pca(pca: PCA, sample: FloatArray) -> MotionSpace:
     )
 
 
-def _spread(clips: Sequence[_Positions], count: int) -> list[FloatArray]:
+def _spread(clips: Sequence[RealArray], count: int) -> list[FloatArray]:
     """Pack evenly spaced frames of all clips, taken as one long take; return those of each."""
     ends = np.cumsum([len(clip) for clip in clips])
     wanted = np.linspace(0, ends[-1] - 1, count).round().astype(np.int64)
@@ -158,10 +155,7 @@ def noise_variance(motion: MotionSpace) -> float:
 
 
 def marker_coordinates(
-    motion: MotionSpace,
-    positions: NDArray[np.float32] | NDArray[np.float64],
-    *,
-    visible: BoolArray | None = None,
+    motion: MotionSpace, positions: RealArray, *, visible: BoolArray | None = None
 ) -> FloatArray:
     """Project frames onto the motion space: (frames, dimensions) [mm].
 

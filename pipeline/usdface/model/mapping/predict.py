@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, frame_blocks
 from usdface.core.assets import Rig, SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coverage import CoverageModel
@@ -107,12 +106,29 @@ class WeightPredictor:
 
     def predict(
         self,
-        positions: NDArray[np.float32] | NDArray[np.float64],
+        positions: RealArray,
         *,
         visible: BoolArray | None = None,
         confidence: Float32Array | None = None,
     ) -> Prediction:
-        """Predict weights from stabilised markers; see `predict_weights`."""
+        """Predict weights from stabilised markers.
+
+        Parameters
+        ----------
+        positions : (frames, markers, 3) float array
+            In the mapping's marker order and head space [mm]; see `find_head_space`.
+        visible : (frames, markers) bool array, optional
+            False where a position is ignored: it is estimated from the others, and the uncertainty
+            is larger. By default all are visible.
+        confidence : (frames, markers) float array, optional
+            Confidence in visible positions [0-1], less than 1 in filled gaps. It affects the
+            uncertainty, not the weights. By default 1.
+
+        Raises
+        ------
+        InputError
+            If shapes do not fit, or a visible position is not finite.
+        """
         mapping = self._mapping
         seen = np.ones(positions.shape[:2], np.bool_) if visible is None else visible
         _check_positions(mapping, positions, seen)
@@ -136,10 +152,7 @@ class WeightPredictor:
         )
 
     def _displacements(
-        self,
-        positions: NDArray[np.float32] | NDArray[np.float64],
-        visible: BoolArray,
-        coordinates: FloatArray,
+        self, positions: RealArray, visible: BoolArray, coordinates: FloatArray
     ) -> FloatArray:
         """Return the displacements of all markers, conditional means where they are not visible."""
         displacements = np.asarray(positions - self._mapping.neutral, dtype=np.float64)
@@ -186,34 +199,6 @@ class WeightPredictor:
             residual[rows] = solution.residual.reshape(-1, *residual.shape[1:])
             uncertainty[rows] = self._uncertainty.deviations(solver, solution, seen)
         return weights, uncertainty, residual
-
-
-def predict_weights(
-    mapping: TrainedMapping,
-    positions: NDArray[np.float32] | NDArray[np.float64],
-    *,
-    visible: BoolArray | None = None,
-    confidence: Float32Array | None = None,
-) -> Prediction:
-    """Predict weights from stabilised markers.
-
-    Parameters
-    ----------
-    positions : (frames, markers, 3) float array
-        In the mapping's marker order and head space [mm]; see `find_head_space`.
-    visible : (frames, markers) bool array, optional
-        False where a position is ignored: it is estimated from the others, and the uncertainty is
-        larger. By default all are visible.
-    confidence : (frames, markers) float array, optional
-        Confidence in visible positions [0-1], less than 1 in filled gaps. It affects the
-        uncertainty, not the weights. By default 1.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit, a visible position is not finite, or as of `WeightPredictor`.
-    """
-    return WeightPredictor(mapping).predict(positions, visible=visible, confidence=confidence)
 
 
 def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
@@ -270,11 +255,7 @@ def basis_of(
     )
 
 
-def _check_positions(
-    mapping: TrainedMapping,
-    positions: NDArray[np.float32] | NDArray[np.float64],
-    visible: BoolArray,
-) -> None:
+def _check_positions(mapping: TrainedMapping, positions: RealArray, visible: BoolArray) -> None:
     markers = len(mapping.marker_names)
     if positions.ndim != 3 or positions.shape[1:] != (markers, 3):
         raise InputError(

@@ -49,7 +49,7 @@ _MIN_RELEVANCE = 0.003
 """``floor``: markers that the shape does not move still distinguish faces."""
 
 _LEAST_MOTION_MM = 0.1
-"""A shape that moves no marker farther, such as one of the tongue, depends on all of them alike."""
+"""Least divisor: a shape that moves no marker, such as one of the tongue, depends on all alike."""
 
 _COVARIANCES = tuple(
     ProcessSettings(dimensions, 0.25, radial, width)

@@ -403,4 +403,5 @@ def _reach(size2: FloatArray, neutral: FloatArray) -> FloatArray:
     largest = np.maximum(size2.max(axis=1, keepdims=True), _MIN_SHAPE_MM2)
     squared = ((neutral[:, None] - neutral) ** 2).sum(axis=2)
     proximity = np.exp(-0.5 * squared / _REACH_MM**2)
-    return np.asarray((size2[:, None] * proximity).max(axis=2) / largest + _GLOBAL_REACH)
+    near2 = np.stack([(size2 * near).max(axis=1) for near in proximity], axis=1)
+    return np.asarray(near2 / largest + _GLOBAL_REACH)

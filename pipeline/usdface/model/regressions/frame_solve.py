@@ -90,7 +90,7 @@ class FrameSolution:
     precision: RealArray
     """(frames, shapes): prior precision ``1 / sd^2`` after the last reweighting."""
     residual: RealArray
-    """(frames, 3 markers): ``y - f(t)``; 0 where a marker is not visible [mm]."""
+    """(frames, 3 markers): ``y - f(t)``, f linear about t0; 0 where a marker is hidden [mm]."""
     predictive: RealArray
     """(frames, markers): predictive variance of a coordinate at t0, without noise [mm^2]."""
     unknown2: RealArray
@@ -239,10 +239,8 @@ class FrameSolver:
         error2, narrow : (shapes,) and (shapes, shapes) float arrays
         spread2, wide : (shapes,) and (shapes, shapes) float arrays
         """
-        variance = (
-            CLEANED_NOISE_MM**2 + (1 + _RESIDUAL_NOISE_SHARE) * self.forward.residual_variance
-        )
-        weight = MarkerWeight(1 / (self.inflation * variance)[None], self.forward.common_errors)
+        variance = self.inflation * self._marker_variance(self.forward.residual_variance)
+        weight = MarkerWeight(1 / variance[None], self.forward.common_errors)
         basis = self.forward.basis.reshape(1, len(self.error), -1)
         information = (weight(basis) @ basis.transpose(0, 2, 1))[0]
         error2 = np.maximum(self.error, _MIN_ERROR) ** 2

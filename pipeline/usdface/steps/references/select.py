@@ -18,7 +18,7 @@ from usdface.core.sidecars import binding_layers, placement_path, reference_laye
 from usdface.core.text import first_few, pluralize, shell_word
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.selection.design import (
     ReferenceChoice,
     choose_by_design,
@@ -362,7 +362,7 @@ def _propose(selection: _Selection, rows: IntArray) -> FloatArray:
     if mapping is not None:
         space = scene.takes.head_space(face_of_mapping(mapping))
         placed = space.place(scene.takes.markers_at(rows))
-        predicted = predict_weights(mapping, placed.positions, visible=placed.visible)
+        predicted = WeightPredictor(mapping).predict(placed.positions, visible=placed.visible)
         columns = [scene.rig.shapes.index(name) for name in mapping.shape_names]
         weights[:, columns] = predicted.weights
     return weights

@@ -136,7 +136,9 @@ def clear_parts(path: Path) -> None:
 
 
 def clip_files(path: Path) -> set[Path]:
-    """Return the clips and manifests that a layer uses, of those named after it."""
+    """Return the clips and manifests that a layer, if it exists, uses of those named after it."""
+    if not path.is_file():
+        return set()
     layer = open_layer(path)
     prims = map(layer.GetPrimAtPath, prim_paths_in(layer))
     sets = [each for prim in prims for each in dict(prim.GetInfo("clips") or {}).values()]

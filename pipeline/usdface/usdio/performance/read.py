@@ -233,13 +233,16 @@ class PerformanceReader:
     @refusing_wrong_types
     def solved(self, first: int | None = None, last: int | None = None) -> Float32Array:
         """Return the weights as they were solved, (frames, shapes) float32."""
-        first = self.first_frame if first is None else first
-        last = self.last_frame if last is None else last
         remedy = "map again" if self.animation.HasAPI("FaceSolveAPI") else "export the file again"
-        frames = range(first, last + 1)
+        frames = self._between(first, last)
         return read_array_samples(
             self.path, self._weights, frames, self.names, kind=np.float32, remedy=remedy
         )
+
+    def _between(self, first: int | None, last: int | None) -> range:
+        """Return the frames from one to another, inclusive; by default from or to an end."""
+        start = self.first_frame if first is None else first
+        return range(start, (self.last_frame if last is None else last) + 1)
 
     def edited(
         self,
@@ -255,7 +258,7 @@ class PerformanceReader:
         values = self.solved(first, last)
         if not self.edits:
             return values
-        start = (self.first_frame if first is None else first) - self.first_frame
+        start = self._between(first, last).start - self.first_frame
         part = slice(start, start + len(values))
         edits = {name: edit.during(part) for name, edit in self.edits.items()}
         made = edited_weights(

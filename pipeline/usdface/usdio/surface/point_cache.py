@@ -200,7 +200,7 @@ def writing_points(
     top = header.rig_path or str(source)
     at = Sdf.Path(face.path).ReplacePrefix(source, Sdf.Path(top))
     points_file = points_path(path)
-    outdated, before = _clip_files(points_file), _deformed_prim(points_file)
+    outdated, before = clip_files(points_file), _deformed_prim(points_file)
     with replacing_group((points_file, path)):
         with _writing_samples(points_file, face, at, header, format_, provenance) as writer:
             yield writer
@@ -246,7 +246,7 @@ def _writing_samples(
         else:
             # By provenance, so that clips of another are not replaced.
             stem = points_file.with_name(f"{points_file.stem}.{provenance.digest}")
-            used = _clip_files(points_file)
+            used = clip_files(points_file)
             writer = clips = _ClipsWriter(
                 face, at, format_, header, clip_frames=clip_frames, stem=stem, used=used
             )
@@ -321,10 +321,6 @@ def _declare(
     if format_.uncertainty:
         uncertainty = Sdf.AttributeSpec(prim, UNCERTAINTY, kinds.FloatArray)
         uncertainty.SetInfo("interpolation", "vertex")
-
-
-def _clip_files(points_file: Path) -> set[Path]:
-    return clip_files(points_file) if points_file.is_file() else set()
 
 
 def _deformed_prim(points_file: Path) -> Sdf.Path:
