@@ -1,5 +1,6 @@
 """The forward model against closed forms and brute force, and the bounded solve against SciPy."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -49,6 +50,19 @@ def test_leave_one_out_residuals_are_those_of_models_without_the_pair(monkeypatc
         predicted = FrameSolver(model, np.full(SHAPES, 0.1)).linearise(weights[[left]])[0]
         expected = moved[left].ravel() - predicted[0]
         np.testing.assert_allclose(whole.residuals[left].ravel(), expected, atol=2e-4)
+
+
+def test_motion_reaches_the_neighbours_of_moved_markers_without_much_memory() -> None:
+    rng = np.random.default_rng(0)
+    size2, neutral = rng.random((40, 300)) ** 8, rng.uniform(-60, 60, (300, 3))
+    tracemalloc.start()
+    reach = forward_model._reach(size2, neutral)
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    near = np.exp(-0.5 * (np.linalg.norm(neutral[7] - neutral, axis=1) / 25.0) ** 2)
+    largest = np.maximum(size2.max(axis=1), 0.5)
+    np.testing.assert_allclose(reach[:, 7], (size2 * near).max(axis=1) / largest + 0.2)
+    assert peak_bytes < 8 * 40 * 300**2 / 3  # of an array of shapes and pairs of markers
 
 
 def test_the_basis_is_the_mean_of_the_conjugate_posterior(monkeypatch) -> None:
@@ -144,11 +158,8 @@ def test_correlated_errors_of_visible_markers_weight_the_solve(monkeypatch, most
     y, start = 3 * rng.normal(size=(2, MARKERS, 3)), np.full((2, SHAPES), 0.5)
     visible = np.array([[True] * MARKERS, [True, False] + [True] * (MARKERS - 2)])
     found = solver.solve(y, visible, start)
-    variance = (
-        0.05**2
-        + 0.5 * model.residual_variance
-        + solver._predictive_variance(start.astype(np.float32), None if most == 0 else np.ones(1))
-    )
+    predictive = model.residual_variance if most == 0 else model.variance(start)
+    variance = 0.05**2 + 0.5 * model.residual_variance + predictive
     for n, seen in enumerate(np.repeat(visible, 3, axis=1)):
         r = np.repeat(np.broadcast_to(variance, (2, MARKERS))[n], 3)[seen]
         common = model.common_errors[:, seen]

@@ -123,7 +123,8 @@ def _value_faults(references: References) -> list[str]:
             f"the neutral face: markers {names} are not finite; ingest the take again with "
             "another neutral frame"
         )
-    if references.motion is not None and not _is_finite(references.motion):
+    motion = references.motion
+    if motion is not None and not all(np.isfinite(each).all() for each in vars(motion).values()):
         faults.append("the motion space holds values that are not finite; select again")
     if faults:
         return faults
@@ -136,11 +137,6 @@ def _value_faults(references: References) -> list[str]:
                 "markers but different weights; keep one of them"
             )
     return faults
-
-
-def _is_finite(motion: MotionSpace) -> bool:
-    parts = (motion.mean, motion.components, motion.variances, motion.total_variance, motion.sample)
-    return all(bool(np.isfinite(part).all()) for part in parts)
 
 
 def _same_markers(references: References) -> list[tuple[int, int]]:

@@ -56,11 +56,7 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
                 if (rows := pairs[:, 0] == index).any()
             },
         )
-    except KeyError as error:
-        raise InputError(
-            f"the mapping lacks the array {error}; train it again with this version"
-        ) from error
-    except (ValueError, TypeError, IndexError) as error:
+    except (KeyError, ValueError, TypeError, IndexError) as error:
         raise InputError(
             f"the mapping's pairs do not fit its takes: {error}; train it again"
         ) from error

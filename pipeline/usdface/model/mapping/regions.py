@@ -69,10 +69,7 @@ def marker_motion(weights: FloatArray, markers: FloatArray) -> FloatArray:
 
 def membership(points: dict[str, IntArray], count: int) -> FloatArray:
     """Return the indicator matrix of points in regions: (regions, count) array of 0 and 1."""
-    table = np.zeros((len(points), count))
-    for row, members in enumerate(points.values()):
-        table[row, members] = 1.0
-    return table
+    return np.array([np.isin(np.arange(count), each) for each in points.values()], np.float64)
 
 
 def regions_without_markers(

@@ -170,7 +170,9 @@ class FrameSolver:
         t0 = np.clip(prior_mean, 0.0, 1.0).astype(np.float32)
         predicted, slope = self.linearise(t0)
         residual = np.where(seen, y - predicted, 0.0).astype(np.float32)
-        predictive = np.broadcast_to(self._predictive_variance(t0, slope), visible.shape)
+        # With many shapes, the mean over the pairs.
+        variance = self.forward.residual_variance if slope is None else self.forward.variance(t0)
+        predictive = np.broadcast_to(variance, visible.shape)
         error = self.error if prior_deviation is None else prior_deviation
         error = np.maximum(np.broadcast_to(error, t0.shape), _MIN_ERROR)
         precision = self._prior_precision(residual, visible, predictive, error)
@@ -264,10 +266,6 @@ class FrameSolver:
         if len(self.error) <= _MAX_DENSE_SHAPES:
             curvature = single_precision(2 * model.curvature().reshape(len(basis), -1))
         return basis, model.offset.reshape(-1).astype(np.float32), curvature
-
-    def _predictive_variance(self, t0: RealArray, slope: RealArray | None) -> FloatArray:
-        """Return that at t0, with many shapes the mean over pairs: ([frames,] markers) [mm^2]."""
-        return self.forward.residual_variance if slope is None else self.forward.variance(t0)
 
     def _marker_variance(self, predictive: FloatArray) -> FloatArray:
         """Return ``r / c``: ([frames,] markers) [mm^2]."""

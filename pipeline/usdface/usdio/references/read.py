@@ -115,10 +115,7 @@ def _check_contents(path: Path, references: References) -> None:
     if len(references.neutral) != len(names):
         faults.append(f"their neutral has {len(references.neutral)} of {len(names)} markers")
     motion = references.motion
-    if motion is not None and not all(
-        np.isfinite(each).all()
-        for each in (motion.mean, motion.components, motion.variances, motion.sample)
-    ):
+    if motion is not None and not all(np.isfinite(each).all() for each in vars(motion).values()):
         faults.append("their motion space holds values that are not finite")
     if faults:
         raise InputError(f"{path}: {'; '.join(faults)}: restore the layers, or select again")
