@@ -85,6 +85,34 @@ def test_usd_itself_sees_the_same_at_every_frame_and_between(tmp_path: Path) -> 
     assert confidence.Get(13.5)[1] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("rate", "offset", "frame", "timecode"),
+    [
+        (120, 1000, 1011, "10:00:00:28"),
+        (30, 0, 3, "10:00:00:28"),
+        (24, 0, 2, ""),
+        (240, 5, 27, "10:00:00:28"),
+    ],
+)
+def test_the_neutral_frame_and_timecode_move_with_the_samples(
+    tmp_path: Path, rate: int, offset: int, frame: int, timecode: str
+) -> None:
+    """In stages that begin there, the last label of a second at 30; 24 has none of that number."""
+    seen = np.ones((12, 2), bool)
+    take = replace(make_take(seen, seen), timecode_start="10:00:00:28")
+    write_take(tmp_path / "talk.take.usda", take, provenance=Provenance())
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.timeCodesPerSecond = rate
+    shot.subLayerPaths, shot.defaultPrim = ["talk.take.usda"], "Take"
+    shot.subLayerOffsets[0] = Sdf.LayerOffset(offset)
+    shot.startTimeCode = shot.endTimeCode = frame
+    shot.Save()
+    reader = TakeReader(tmp_path / "shot.usda")
+    assert reader.neutral_frame == frame
+    assert reader.timecode_at(frame) == timecode
+    assert reader.timecode_at(frame + rate // 10) == (timecode and "10:00:01:01")
+
+
 def test_events_keep_their_place_under_a_layer_offset(tmp_path: Path) -> None:
     seen = np.ones((12, 2), bool)
     take = replace(make_take(seen, seen), events=(Event("Clap", 13.0), Event("Slate", 17.5)))

@@ -5,12 +5,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError, as_input_error
-from usdface.core.rates import check_frame_span, exact_rate, frames_within, shift_timecode
+from usdface.core.rates import (
+    check_frame_span,
+    exact_rate,
+    frames_within,
+    label_alike,
+    shift_timecode,
+)
 from usdface.usdio.authoring import names_in, read_array_samples, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
@@ -89,9 +95,8 @@ class TakeReader:
     @functools.cached_property
     def neutral_frame(self) -> int:
         """Frame number of the neutral face, by default the first frame."""
-        prim = self._markers
-        frame = value_of(prim, "face:markers:neutralFrame") if prim else None
-        return self.first_frame if frame is None else int(frame)
+        stated = _stated(self._markers, "face:markers:neutralFrame")
+        return self.first_frame if stated is None else round(stated[1] * int(stated[0].default))
 
     @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
@@ -100,10 +105,18 @@ class TakeReader:
         return names_in(prim.GetAttribute("face:markers:names")) if prim else ()
 
     def timecode_at(self, frame: int) -> str:
-        """Return the SMPTE timecode of a frame; empty if the take has none."""
-        start = text_of(self._root, "face:timecode:start")
-        with as_input_error(f"{self.path}: face:timecode:start", of=InputError):
-            return shift_timecode(start, frame - self.first_frame, self.rate)
+        """Return the SMPTE timecode of a frame; empty if unknown or if the rate has other labels."""
+        stated = _stated(self._root, "face:timecode:start")
+        if stated is None:
+            return ""
+        where, (spec, moved) = f"{self.path}: face:timecode:start", stated
+        captured = exact_rate(self._stage.GetTimeCodesPerSecond() / abs(moved.scale), where=where)
+        if not label_alike(captured, self.rate):
+            return ""
+        own = spec.layer
+        start = moved * own.startTimeCode if own.HasStartTimeCode() else self.first_frame
+        with as_input_error(where, of=InputError):
+            return shift_timecode(str(spec.default), frame - round(start), self.rate)
 
     def frames_within(self, frames: tuple[int, int] | None) -> tuple[int, int]:
         """Return the first and the last of the frames, by default all; refuse missing ones."""
@@ -304,6 +317,16 @@ class TakeReader:
         if resolved:
             return Path(resolved)
         return (self.path.parent / str(getattr(asset, "path", ""))).resolve()
+
+
+def _stated(prim: Usd.Prim, name: str) -> tuple[Sdf.AttributeSpec, Sdf.LayerOffset] | None:
+    """Return where an attribute has its value, and how USD moves the times of samples there.
+
+    Numbers of frames are not moved by layer offsets and rates.
+    """
+    attribute = prim.GetAttribute(name) if prim else None
+    stack = attribute.GetPropertyStackWithLayerOffsets(Usd.TimeCode.Default()) if attribute else ()
+    return next((each for each in stack if each[0].HasDefaultValue()), None)
 
 
 def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.ndarray:
