@@ -105,7 +105,7 @@ class TakeReader:
         return names_in(prim.GetAttribute("face:markers:names")) if prim else ()
 
     def timecode_at(self, frame: int) -> str:
-        """Return the SMPTE timecode of a frame; empty if unknown or if the rate has other labels."""
+        """Return the SMPTE timecode of a frame; empty if unknown or if its labels do not fit."""
         stated = _stated(self._root, "face:timecode:start")
         if stated is None:
             return ""
