@@ -96,7 +96,7 @@ class TakeReader:
     def neutral_frame(self) -> int:
         """Frame number of the neutral face, by default the first frame."""
         stated = _stated(self._markers, "face:markers:neutralFrame")
-        return self.first_frame if stated is None else round(stated[1] * int(stated[0].default))
+        return self.first_frame if stated is None else round(float(stated[1] * stated[0].default))
 
     @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
