@@ -11,7 +11,7 @@ from usdface.core.assets import Markers, References, TrainedMapping
 from usdface.model.mapping.head_space import MappedMarkers, find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.performer_face import face_of_mapping
-from usdface.model.mapping.regions import SKIN_POINTS, offsets_at, skin_points
+from usdface.model.mapping.regions import offsets_at, skin_points
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
@@ -103,9 +103,9 @@ def skin_samples(skin: FaceSkin, virtual: VirtualMarkers) -> IntArray:
     return np.array(rows)
 
 
-def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
+def sample_skin(offsets: FloatArray | sparse.sparray) -> FloatArray:
     """Return the displacements of `skin_points` by each shape at 1: (shapes, points, 3) [mm]."""
-    return offsets_at(offsets, skin_points(offsets, count=count))
+    return offsets_at(offsets, skin_points(offsets))
 
 
 def align_markers(mapping: TrainedMapping, markers: Markers, *, rate: float) -> MappedMarkers:

@@ -11,6 +11,7 @@ from tests.model.synthetic import RIGID, SyntheticFace, references_of, sample_sk
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
+from usdface.model.mapping import regions
 from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import face_map, frame_solve
@@ -137,12 +138,13 @@ def test_skin_of_other_shapes_is_refused() -> None:
         train_mapping(pairs, ranges=face.ranges, gram=face.gram, skin=skin * np.nan)
 
 
-def test_skin_samples_are_points_that_move() -> None:
+def test_skin_samples_are_points_that_move(monkeypatch: pytest.MonkeyPatch) -> None:
     face = synthetic_face()
     flat = face.shapes.reshape(len(face.shapes), -1)
     whole = sample_skin(flat)
     np.testing.assert_array_equal(whole, face.shapes[:, RIGID:])
-    assert sample_skin(flat, count=7).shape == (len(face.shapes), 7, 3)
+    monkeypatch.setattr(regions, "SKIN_POINTS", 7)
+    assert sample_skin(flat).shape == (len(face.shapes), 7, 3)
 
 
 @given(

@@ -91,12 +91,10 @@ def test_the_published_lines_over_every_direction_undo_the_penalty() -> None:
         np.testing.assert_allclose(predict(model, sources), targets, atol=1e-6)
 
 
-def test_the_operator_is_the_product_of_its_three_parts() -> None:
-    model = fit(*pairs(), components=5, lines="published")
-    assert model.source_basis.shape == (40, 5)
-    np.testing.assert_allclose(
-        model.operator, model.source_basis @ model.across @ model.back, atol=1e-12
-    )
+def test_the_operator_has_as_many_directions_as_are_asked_for() -> None:
+    sources, targets = np.random.default_rng(0).normal(size=(2, 40, 8))
+    model = fit(sources, targets, components=5, lines="published")
+    assert len(model.correlations) == np.linalg.matrix_rank(model.operator) == 5
 
 
 def test_correlations_fall_with_the_penalty_and_stay_below_one() -> None:

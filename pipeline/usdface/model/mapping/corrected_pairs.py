@@ -226,10 +226,7 @@ def find_contradicted(
     Returns, by pair, the region with the largest ratio of chi2 to its threshold, and the root mean
     square residual there [mm], the largest residual first.
 
-    Parameters
-    ----------
-    parts : tuple of str
-        Part of the face of each shape.
+    `parts`: part of the face of each shape.
     """
     squared = (forward.residuals**2).sum(axis=2)
     chi2 = squared * np.einsum("knn->nk", forward.inverse)

@@ -80,12 +80,8 @@ class CoverageModel:
     def measure(self, displacements: FloatArray) -> FloatArray:
         """Return the coverage of frames.
 
-        Returns (frames, regions) [0-1]; 1 in regions without markers.
-
-        Parameters
-        ----------
-        displacements : (frames, markers, 3) float array
-            From the neutral [mm].
+        Returns (frames, regions) [0-1], of displacements from the neutral, (frames, markers, 3)
+        [mm]; 1 in regions without markers.
         """
         coverage = np.ones((len(displacements), len(self._regions)))
         for column, region in enumerate(self._regions):

@@ -78,10 +78,7 @@ class SkinMetric:
     def differences(self, weights: FloatArray, others: FloatArray) -> FloatArray:
         """Return differences of the keys' weights, 0 for excluded shapes: (frames, keys).
 
-        Parameters
-        ----------
-        weights, others : (frames, shapes) float arrays
-            NaN where unknown.
+        `weights`, `others`: (frames, shapes), NaN where unknown.
         """
         skin_weights = weights.copy()
         skin_weights[:, self.excluded] = others[:, self.excluded]

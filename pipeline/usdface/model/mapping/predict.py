@@ -224,10 +224,7 @@ def basis_of(
 ) -> SolveBasis | None:
     """Return the basis of a take's solve on a rig; None if an earlier version trained the mapping.
 
-    Parameters
-    ----------
-    missing : sequence of str
-        Markers of the mapping that the take lacks.
+    `missing`: markers of the mapping that the take lacks.
     """
     settings = mapping.settings
     if "tuned" not in settings or "pairs" not in settings:

@@ -127,20 +127,15 @@ def regions_without_shapes(
     return tuple(region for region in REGIONS if region in named and region not in known)
 
 
-def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> IntArray:
+def skin_points(offsets: FloatArray | sparse.sparray) -> IntArray:
     """Sample a surface: points evenly spaced in the order of those that shapes move.
 
-    Parameters
-    ----------
-    offsets : (shapes, points * 3) float array or sparse array
-        Displacements by each shape at 1 [mm], as from `BlendShapes.target_offsets`.
-    count : int
-        Largest number of points.
+    `offsets`: displacements by each shape at 1, (shapes, points * 3) [mm].
     """
     from usdface.numerics.solve.blendshapes import moving_points  # imports SciPy: half a second
 
     moving = moving_points(offsets)
-    return np.asarray(moving[sample_frames(len(moving), count)], dtype=np.int64)
+    return np.asarray(moving[sample_frames(len(moving), SKIN_POINTS)], dtype=np.int64)
 
 
 def offsets_at(offsets: FloatArray | sparse.sparray, points: IntArray) -> FloatArray:

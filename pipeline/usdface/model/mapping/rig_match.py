@@ -31,10 +31,7 @@ def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]
     ``rig_shapes``, (shapes, 8), are means weighted by the displacement of each point: its length,
     position (x, y, z), displacement (x, y, z) [mm], and the weight of its key.
 
-    Parameters
-    ----------
-    shape_names : tuple of str
-        Shapes of the mapping; other shapes, and meshes that none of these moves, are ignored.
+    `shape_names`: of the mapping; other shapes, and meshes that none of these moves, are ignored.
     """
     named = frozenset(shape_names)
     meshes = [mesh for mesh in rig.meshes if any(shape.name in named for shape in mesh.shapes)]

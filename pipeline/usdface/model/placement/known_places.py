@@ -71,10 +71,7 @@ def places_by_labels(
     Markers with the same landmarks (``brow_L1`` to ``brow_L5``) are one place, that of their mean;
     its variance includes theirs.
 
-    Parameters
-    ----------
-    without : collection of int
-        Markers to leave out.
+    `without`: markers to leave out.
     """
     if are_image_landmarks(cloud.labels):
         return _places_of_images(cloud, landmarks, without)

@@ -103,10 +103,7 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
     Returns the (3,) positions of ``nose_tip``, ``chin``, ``mouth_L``, ``lid_upper_L`` and so on,
     mirrored onto each other; those whose shapes the rig lacks are left out.
 
-    Parameters
-    ----------
-    shapes : sequence of str
-        Names of the rig's shapes, in the order of the skin's deltas.
+    `shapes`: names of the rig's shapes, in the order of the skin's deltas.
     """
     moved = _displacements(skin, shapes)
     if not {("eyeblink", "L"), ("eyeblink", "R"), _JAW} <= moved.keys():

@@ -132,10 +132,7 @@ def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntA
 def missing_parts_note(parts: Sequence[str]) -> str:
     """Return a note on regions without a known shape, or on eyes that do not close; else empty.
 
-    Parameters
-    ----------
-    parts : sequence of str
-        Of a rig's shapes, as `shape_parts` returns them.
+    `parts`: of a rig's shapes, as `shape_parts` returns them.
     """
     known = {region_of_shape(each) for each in parts}
     missing = [region for region in REGIONS if region not in known]
@@ -178,10 +175,7 @@ class RegionTemplate:
 def fit_region_template(skin: FaceSkin, names: Sequence[str]) -> RegionTemplate | None:
     """Return the regions of an adult's face, fitted to a rig; None without eyes or mouth.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the rig's shapes.
+    `names`: of the rig's shapes.
     """
     found = find_landmarks(skin, names)
     shared = [name for name in _FITTED if name in found]

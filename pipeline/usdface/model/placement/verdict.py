@@ -158,10 +158,7 @@ def judge_placement(
 def warn_upside_down(verdict: PlacementVerdict, gain: float) -> PlacementVerdict:
     """Return the verdict on a placement of some gain upside down; unchanged for a small one.
 
-    Parameters
-    ----------
-    gain : float
-        As of `MarkerPlacement`.
+    `gain`: `MarkerPlacement.overturned_gain`.
     """
     if gain <= _OVERTURNED_GAIN:
         return verdict

@@ -123,10 +123,7 @@ class DrivenMotion:
 def driven_weights(logic: RigLogic, weights: FloatArray) -> FloatArray:
     """Return the weights of the combinations: (frames, combinations).
 
-    Parameters
-    ----------
-    weights : (frames, shapes) float array
-        Weights of the first shapes of the logic; the others are 0.
+    `weights`: (frames, shapes), of the first shapes of the logic; the others are 0.
     """
     padded = pad_columns(weights, len(logic.shapes))
     return logic.evaluate(padded)[:, len(logic.shapes) :]

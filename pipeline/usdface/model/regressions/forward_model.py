@@ -199,10 +199,7 @@ class ForwardModel:
         than 2 % in 99 % of the faces tried, and by 30 % in the worst combination of shapes. Returns
         (frames, markers) [mm^2].
 
-        Parameters
-        ----------
-        targets : (frames, shapes) float array
-            Bent weights.
+        `targets`: bent weights, (frames, shapes).
         """
         t = single_precision(targets)
         linear, product, root = self._kernel_factors

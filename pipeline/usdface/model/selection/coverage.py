@@ -163,10 +163,7 @@ def measure_coverage(
 ) -> Coverage:
     """Measure the coverage of each of `count` frames.
 
-    Parameters
-    ----------
-    regions : tuple of str
-        Regions of the model; the first is the whole face.
+    `regions`: of the model; the first is the whole face.
     """
     step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
     rows = np.arange(0, count, step, dtype=np.int64)

@@ -46,16 +46,10 @@ class KernelCCA:
     """(n, d): sources of the pairs."""
     width: float
     """Of the source's kernel."""
-    source_basis: FloatArray
-    """(n, k): the paper's H_s: coefficients of the reduced source over centred kernels."""
     correlations: FloatArray
     """(k,): between the reduced source and target, penalised; descending, in (0, 1)."""
-    across: FloatArray
-    """(k, k): the paper's M_s (eq. 6): reduced source to reduced target."""
-    back: FloatArray
-    """(k, s): the paper's M_t (eq. 7): reduced target to target."""
     operator: FloatArray
-    """(n, s): the paper's M_kCCA: the product of the three."""
+    """(n, s): the paper's M_kCCA: the product of H_s, M_s (eq. 6) and M_t (eq. 7)."""
     intercept: FloatArray
     """(s,): from the centring of kernel and target."""
 
@@ -139,10 +133,7 @@ def fit_kernel_cca(
     return KernelCCA(
         centres=S,
         width=float(source_width),
-        source_basis=basis,
         correlations=correlations,
-        across=across,
-        back=back,
         operator=operator,
         # The basis is orthogonal to constants, so the kernel's centring only contributes here.
         intercept=mean - kernel.mean(axis=0) @ operator,

@@ -88,10 +88,7 @@ def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]
     Returns the columns of each row's labels, at least two in each; labels that say nothing are in
     none.
 
-    Parameters
-    ----------
-    positions : (markers, 3) array
-        At rest [mm]; a marker without one is in no row.
+    `positions`: (markers, 3), at rest [mm]; a marker without one is in no row.
     """
     at = np.asarray(positions, np.float64)
     if at.shape != (len(labels), 3):
