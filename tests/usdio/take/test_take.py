@@ -170,6 +170,24 @@ def test_points_with_names_in_a_primvar_become_markers(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.positions[seen], POSITIONS[seen], rtol=1e-6)
 
 
+@pytest.mark.parametrize("decimals", [3, 15])
+def test_gaps_beside_samples_at_no_whole_time_codes_hide_nothing_else(
+    tmp_path: Path, decimals: int
+) -> None:
+    """As of a capture at 59.94 Hz in a stage of 24, in full or rounded by a tool."""
+    rng = np.random.default_rng(0)
+    rows = rng.normal(0, 50, (2000, 5, 3)).astype(np.float32)
+    rows[rng.random((2000, 5)) < 0.1] = (np.nan, np.inf, 0)
+    stage = foreign_stage(tmp_path / "points.usda", rate=24)
+    points = UsdGeom.Points.Define(stage, "/mocap/face").CreatePointsAttr()
+    for time, row in zip(np.round(np.arange(2000) * 24.024 / 60, decimals), rows, strict=True):
+        points.Set(Vt.Vec3fArray.FromNumpy(row), float(time))
+    stage.Save()
+    found = read_foreign_take(tmp_path / "points.usda")
+    assert found.rate == Fraction(60000, 1001)
+    np.testing.assert_array_equal(found.visible, np.isfinite(rows).all(axis=2))
+
+
 def test_skeleton_joints_become_markers_in_our_space(tmp_path: Path) -> None:
     stage = foreign_stage(tmp_path / "joints.usda", up="Z", metres=0.01)
     UsdSkel.Root.Define(stage, "/mocap")

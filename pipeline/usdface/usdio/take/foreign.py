@@ -79,7 +79,7 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
                 f"{len(names)} markers; every marker must keep its slot over the take"
             )
         positions[index] = row @ ours.T
-    visible = sampled[:, None] & ~np.isnan(positions).any(axis=2)
+    visible = sampled[:, None] & np.isfinite(positions).all(axis=2)
     source = None
     if weights is not None:
         animation = UsdSkel.Animation(weights)
@@ -113,7 +113,9 @@ def _frame_grid(
         )
     first, last = (float(end) / spacing for end in (at[0], at[-1]))
     check_frame_span(f"{path}: time samples", first, last, samples=len(at))
-    steps = np.round((at - at[0]) / spacing).astype(np.int64)
+    # One by one, as times may be rounded.
+    steps = np.cumsum([0, *np.round(np.diff(at) / spacing)]).astype(np.int64)
+    spacing = float(at[-1] - at[0]) / int(steps[-1])
     uneven = np.abs(at - at[0] - steps * spacing).max() > 0.25 * spacing
     if uneven or (np.diff(steps) < 1).any():
         raise InputError(
@@ -123,7 +125,9 @@ def _frame_grid(
     sampled = np.zeros(steps[-1] + 1, dtype=np.bool_)
     sampled[steps] = True
     rate = exact_rate(per_second / spacing, where=f"{path}: sample spacing")
-    return rate, round(at[0] / spacing), at[0] + spacing * np.arange(len(sampled)), sampled
+    frame_times = at[0] + spacing * np.arange(len(sampled))
+    frame_times[steps] = at  # a hair beside a sample, USD interpolates with the next, perhaps NaN
+    return rate, round(at[0] / spacing), frame_times, sampled
 
 
 @dataclass(frozen=True)
@@ -154,6 +158,7 @@ def _points_set(prim: Usd.Prim, attribute: Usd.Attribute) -> _MarkerSet:
 
     def at(time: float) -> FloatArray:
         points = np.array(attribute.Get(time) or [], dtype=np.float64).reshape(-1, 3)
+        points[~np.isfinite(points)] = np.nan
         if slots and len(ids.Get(time)) == len(points):
             found, points = points, np.full((len(slots), 3), np.nan)
             points[[slots[each] for each in ids.Get(time)]] = found
