@@ -245,3 +245,21 @@ def test_a_mirrored_take_is_called_so_though_its_rigid_markers_are_elsewhere() -
     face = replace(face_of_mapping(trained()), rigid=mirrored.rigid)
     with pytest.raises(InputError, match=r"mirror image .*--mirrored axes"):
         find_head_space(face, markers_of(mirrored), rate=60.0)
+
+
+@pytest.mark.parametrize("frames", [slice(None), slice(200, 700)])
+def test_positions_of_hidden_markers_may_be_anything(frames: slice) -> None:
+    face, moved = synthetic_face(), synthetic_face(seed=3)
+    visible = np.ones(moved.positions.shape[:2], bool)
+    visible[frames, RIGID + 2] = False
+    spaces = []
+    for value in (0.0, np.nan):
+        positions = moved.positions.astype(np.float32)
+        positions[~visible] = value
+        markers = markers_of(
+            face, positions=positions, visible=visible, confidence=visible.astype(np.float32)
+        )
+        spaces.append(find_head_space(face_of_mapping(trained()), markers, rate=60.0))
+    np.testing.assert_array_equal(spaces[0].neutral.offset, spaces[1].neutral.offset)
+    np.testing.assert_array_equal(spaces[0].rotation, spaces[1].rotation)
+    assert spaces[0].neutral.offset_mm == spaces[1].neutral.offset_mm

@@ -337,7 +337,9 @@ def _in_order(
     visible = np.zeros((frames, count), dtype=bool)
     positions[:, slots] = markers.positions[:, columns]
     visible[:, slots] = markers.usable[:, columns]
-    visible &= np.isfinite(positions).all(axis=2)
+    finite = np.isfinite(positions).all(axis=2)
+    visible &= finite
+    positions[~finite] = 0.0
     return positions, visible
 
 
