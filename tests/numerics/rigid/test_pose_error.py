@@ -89,6 +89,19 @@ def test_few_markers_on_skin_tell_no_error(count: int) -> None:
         assert errors.size_mm == errors.mean_mm == 0
 
 
+@pytest.mark.parametrize("off_mm", [0, 0.3])
+def test_markers_on_a_line_tell_no_error(off_mm: float) -> None:
+    """A rotation about it moves none of them."""
+    rng = np.random.default_rng(0)
+    neutral = np.linspace(-40, 40, 12)[:, None] * np.eye(3)[0]
+    neutral += rng.normal(0, off_mm / np.sqrt(2), neutral.shape)
+    shapes = rng.normal(0, 4, (2, 12, 3))
+    expected = expression_motion(shapes, rng.random((5, 2)), neutral, rigid=np.array([], int))
+    moved = neutral + np.tensordot(rng.random((60, 2)), shapes, 1)
+    errors = expected.find_errors(moved, np.ones((60, 12), bool))
+    assert errors.size_mm == errors.mean_mm == 0
+
+
 def test_likelihood_is_that_of_the_dense_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_error, "_NOISE_ROUNDS", 1)  # with the departure of the mean motion
     weights, _, moved = acted(0.02, 1.5)
