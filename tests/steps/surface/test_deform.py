@@ -152,6 +152,57 @@ def test_markers_find_their_places_from_five_landmarks(folder: Path, scan: Scan)
     assert wrong.max() < 6.0
 
 
+def test_more_landmarks_place_the_others_better(tmp_path: Path, scan: Scan) -> None:
+    """On lips of the scan .4 mm apart, whose distance on the performer is noise."""
+    write_scan(tmp_path / "scan.usdc", scan)
+    write_take(
+        tmp_path / "talk.take.usda", small_scan_take(scan, noise=0.5), provenance=Provenance()
+    )
+    lips = [name for name in scan.names if name.startswith("lip")]
+    chosen = [f"{name}={scan.markers[scan.names.index(name)]}" for name in lips]
+    spec = bind(tmp_path, scan)
+    run(spec.model_copy(update={"landmarks": tuple({*spec.landmarks, *chosen})}))
+    face, binding = read_face_mesh(tmp_path / "scan.usdc"), binding_of(tmp_path)
+    order = [scan.names.index(name) for name in binding.names]
+    away = binding.places.positions(face.mesh.points) - scan.points[scan.markers[order]]
+    assert np.linalg.norm(away, axis=1).mean() < 1
+
+
+@pytest.mark.parametrize("correct", [False, True])
+def test_touching_lips_keep_the_markers_that_a_person_gave_them(
+    tmp_path: Path, scan: Scan, correct: bool
+) -> None:
+    points = scan.points.copy()
+    points[scan.lower] = points[scan.upper]
+    closed = replace(scan, points=points)
+    write_scan(tmp_path / "scan.usdc", closed)
+    write_take(tmp_path / "talk.take.usda", small_scan_take(closed), provenance=Provenance())
+    lips = {
+        name: int(scan.markers[scan.names.index(name)])
+        for name in scan.names
+        if name.startswith("lip")
+    }
+    spec = bind(tmp_path, closed)
+    if correct:
+        run(spec)
+        layer = Sdf.Layer.FindOrOpen(str(corrected_path(tmp_path / "scan.binding.usda")))
+        stage = Usd.Stage.Open(layer)
+        for name, point in lips.items():
+            over = stage.OverridePrim(f"/Binding/Markers/{name}")
+            over.CreateAttribute("face:binding:point", Sdf.ValueTypeNames.Int).Set(point)
+        layer.Save()
+    else:
+        given = {*spec.landmarks, *(f"{name}={point}" for name, point in lips.items())}
+        spec = spec.model_copy(update={"landmarks": tuple(given)})
+    run(spec)
+    binding = binding_of(tmp_path)
+    for name, point in lips.items():
+        row = binding.names.index(name)
+        assert binding.places.corners[row][binding.places.weights[row].argmax()] == point
+    assert not any("at one place" in note for note in run(deform(tmp_path)).notes)
+    run(deform(tmp_path, method="rbf", out=tmp_path / "rbf.usda"))
+
+
 def binding_of(folder: Path) -> MarkerBinding:
     return read_binding(folder / "scan.binding.usda", read_face_mesh(folder / "scan.usdc")).binding
 
@@ -332,7 +383,8 @@ def test_a_binding_of_two_markers_to_one_place_is_told(folder: Path, scan: Scan)
         },
     )
     write_take(folder / "talk.take.usda", replace(take, markers=twice), provenance=Provenance())
-    run(bind(folder, scan))
+    spec = bind(folder, scan)
+    run(spec.model_copy(update={"landmarks": (*spec.landmarks, f"twin={scan.markers[0]}")}))
     notes = run(deform(folder)).notes
     words = f"at one place of the mesh: {scan.names[0]} and twin"
     assert any(words in note for note in notes)

@@ -1,6 +1,5 @@
 """Positions of a performer's markers on a mesh, from its shapes or from a few landmarks."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +61,7 @@ def propose_binding(
     positions: FloatArray,
     visible: BoolArray,
     rigid: tuple[int, ...],
-    pins: dict[int, FloatArray],
+    pins: dict[int, SurfacePoints],
     sources: dict[int, str],
 ) -> MarkerBinding:
     """Find the position of every marker on a mesh.
@@ -81,8 +80,8 @@ def propose_binding(
     visible : (frames, markers) bool array
     rigid : tuple of int
         Markers that move with the skull only.
-    pins : dict of int to (3,) float array
-        Positions that a person gave [mm].
+    pins : dict of int to SurfacePoints
+        The place that a person gave to each of some markers.
     sources : dict of int to str
         How each pinned marker was placed: ``'landmark'`` or ``'corrected'``.
     """
@@ -91,14 +90,15 @@ def propose_binding(
             f"the take has {len(neutral)} markers; at least {FEWEST_MARKERS} are needed to lay a "
             "face on a mesh"
         )
+    pinned = {marker: place.positions(mesh.points)[0] for marker, place in pins.items()}
     picks = sample_frames(len(positions), _SAMPLE_FRAMES)
     sample, seen = positions[picks].astype(np.float64), visible[picks]
     with as_input_error(f"the markers cannot be placed on <{mesh.path}>"):
         if mesh.shapes:
             cloud = marker_cloud(names, neutral, sample, visible=seen, rigid=rigid)
-            places = _by_shapes(mesh, cloud, pins)
+            places = _by_shapes(mesh, cloud, pinned)
         elif len(pins) >= FEWEST_LANDMARKS:
-            places = _by_landmarks(mesh, neutral, pins)
+            places = _by_landmarks(mesh, neutral, pinned)
         else:
             raise InputError(
                 f"<{mesh.path}>: has no shapes from which markers could be placed, and {len(pins)} "
@@ -106,7 +106,7 @@ def propose_binding(
                 f"--landmarks {','.join(f'{names[at]}=POINT' for at in (0, len(names) // 2, -1))}"
             )
         return bind_at(
-            mesh, places, names, neutral=neutral, sample=sample, pins=pins, sources=sources
+            mesh, places.replaced(pins), names, neutral=neutral, sample=sample, sources=sources
         )
 
 
@@ -204,25 +204,15 @@ def bind_at(
     *,
     neutral: FloatArray,
     sample: FloatArray,
-    pins: dict[int, FloatArray],
     sources: dict[int, str],
 ) -> MarkerBinding:
-    """Return the binding at given positions, with its confidence; see `propose_binding`.
+    """Return the binding at given places, with its confidence; see `propose_binding`.
 
     Parameters
     ----------
     sample : (frames, markers, 3) float array
         Frames of the take [mm].
-    pins : dict of int to (3,) float array
-        Positions that replace those in `places` [mm].
     """
-    if pins:
-        given, pinned = np.array(list(pins.values())), list(pins)
-        on_skin = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, given)
-        faces, corners, weights = places.faces.copy(), places.corners.copy(), places.weights.copy()
-        faces[pinned], corners[pinned] = on_skin.faces, on_skin.corners
-        weights[pinned] = on_skin.weights
-        places = replace(places, faces=faces, corners=corners, weights=weights)
     places = places.rounded()  # as steps that read the binding find them
     at = places.positions(mesh.points)
     fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
@@ -235,7 +225,7 @@ def bind_at(
     moved = (sample - neutral) @ fitted.linear.T
     difference = motion_agreement(moved, _distances_between(mesh, places, at))
     confidence *= 1 / (1 + (np.maximum(difference - 1, 0) / _HALF_MOTION_RATIO) ** 4)
-    confidence[list(pins)] = 1.0
+    confidence[list(sources)] = 1.0
     return MarkerBinding(
         names=names,
         places=places,

@@ -25,7 +25,9 @@ _WARP_SIZE = 0.10
 _WARP_LENGTH = 0.6
 """[of the face's size] Length scale of the warp."""
 _LEAST_DEVIATION = 0.02
-"""[of the face's size] Least standard deviation of a marker's place by motion."""
+"""[of the face's size] Least standard deviation of a marker's place, by motion or by a person. An
+exact warp of pins a millimetre apart, whose distance on the performer is another one, moves the
+other markers by centimetres."""
 _SHAPE_DEVIATION = 0.2
 """[of the face's size] Standard deviation of a marker's place by shape alone."""
 _HALF_WEIGHT_SIZE = 0.25
@@ -92,7 +94,7 @@ def place_by_motion(
             variance = 1 / (1 / variance + 1 / moved_variance)
         for marker, place in pinned.items():
             chosen[marker] = ((skin - place) ** 2).sum(axis=1).argmin()
-            target[marker], variance[marker] = place, 1e-6
+            target[marker], variance[marker] = place, (_LEAST_DEVIATION * size) ** 2
         squared = ((alignment.apply(cloud) - target) ** 2).sum(axis=1)
         robust = 1 + squared / (_HALF_WEIGHT_SIZE * size) ** 2
         weight = 1 / (variance + (_WARP_SIZE * size) ** 2) / robust

@@ -3,6 +3,7 @@
 With one weight per corner of the polygon, a place does not depend on the triangulation.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,18 @@ class SurfacePoints:
     def positions(self, points: FloatArray) -> FloatArray:
         """Return the positions of the places: (places, 3), in the points' unit."""
         return np.asarray(np.einsum("pk,pkc->pc", self.weights, points[self.corners]))
+
+    def select(self, rows: IntArray | list[int]) -> "SurfacePoints":
+        """Return some of the places."""
+        return SurfacePoints(self.faces[rows], self.corners[rows], self.weights[rows])
+
+    def replaced(self, others: Mapping[int, "SurfacePoints"]) -> "SurfacePoints":
+        """Return the places, with the single places of `others` in the rows of its keys."""
+        faces, corners, weights = self.faces.copy(), self.corners.copy(), self.weights.copy()
+        for row, place in others.items():
+            faces[row], corners[row] = place.faces[0], place.corners[0]
+            weights[row] = place.weights[0]
+        return SurfacePoints(faces, corners, weights)
 
     def rounded(self) -> "SurfacePoints":
         """Return the places with weights that single precision holds, with sum 1, exactly."""

@@ -26,7 +26,7 @@ from usdface.model.placement.verdict import PlacementVerdict, judge_placement, w
 from usdface.model.surface.binding import bind_at
 from usdface.numerics.registration.virtual_markers import marker_deltas, motion_by_rig
 from usdface.numerics.rigid.rigid_template import RigidTemplate
-from usdface.numerics.surface.surface_places import places_of_corners
+from usdface.numerics.surface.surface_places import nearest_places, places_of_corners
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.steps.inputs.placement import rows_by_name, virtual_markers
 from usdface.usdio.rig.mesh import rig_surfaces
@@ -99,13 +99,18 @@ class PlacementScene:
                 self._cloud, self._skin, rig.shapes, ranges=rig.ranges_of_ends, pinned=pins
             )
             at = found.virtual
+            counts, indices = mesh.face_counts, mesh.face_indices
+            places = places_of_corners(counts, indices, at.points, at.weights)
+            on_skin = {
+                marker: nearest_places(mesh.points, counts, indices, place[None])
+                for marker, place in pins.items()
+            }
             binding = bind_at(
                 mesh,
-                places_of_corners(mesh.face_counts, mesh.face_indices, at.points, at.weights),
+                places.replaced(on_skin),
                 names,
                 neutral=takes.neutral,
                 sample=self._sample,
-                pins=pins,
                 sources={
                     marker: "corrected" if names[marker] in given.corrected else "landmark"
                     for marker in pins

@@ -16,6 +16,7 @@ from usdface.model.selection.baseline import PerformerMarkers
 from usdface.model.surface.binding import FEWEST_LANDMARKS, UNCERTAIN_CONFIDENCE, facing_yaw
 from usdface.numerics.registration.cloud_alignment import align_landmarks
 from usdface.numerics.registration.marker_binding import MarkerBinding
+from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
 from usdface.steps.inputs.cleaned_takes import (
@@ -85,14 +86,13 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress) -> StepRe
 
 def _corrections(
     spec: BindSpec, sample: PerformerMarkers, face: FaceMesh
-) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
-    """Return the corrected positions of an earlier binding [mm], and the markers it leaves out."""
+) -> tuple[dict[int, SurfacePoints], tuple[str, ...]]:
+    """Return the corrected places of an earlier binding, and the markers it leaves out."""
     if not has_binding(spec.out):
         return {}, ()
     before = read_binding(spec.out, face)
-    at = before.binding.places.positions(face.mesh.points)
     corrected = {
-        sample.labels.index(name): at[index]
+        sample.labels.index(name): before.binding.places.select([index])
         for index, (name, source) in enumerate(
             zip(before.binding.names, before.binding.sources, strict=True)
         )

@@ -53,7 +53,7 @@ def bind_take(
     sample: PerformerMarkers,
     face: FaceMesh,
     *,
-    pinned: dict[int, FloatArray],
+    pinned: dict[int, SurfacePoints],
     sources: dict[int, str],
 ) -> MarkerBinding:
     """Propose a binding, using the shapes of the mesh if its file is a rig."""
@@ -81,8 +81,8 @@ def add_shapes(face: FaceMesh) -> RigMesh:
 
 def landmark_places(
     landmarks: tuple[str, ...], names: tuple[str, ...], face: FaceMesh, take: Path
-) -> dict[int, FloatArray]:
-    """Return the position of each landmark NAME=POINT on the mesh [mm], by marker index."""
+) -> dict[int, SurfacePoints]:
+    """Return the place of each landmark NAME=POINT on the mesh, by marker index."""
     faults, found = [], {}
     for landmark in landmarks:
         name, _, number = landmark.rpartition("=")
@@ -98,13 +98,11 @@ def landmark_places(
             )
         else:
             try:
-                at = places_at_points(
+                found[names.index(name)] = places_at_points(
                     face.mesh.face_counts, face.mesh.face_indices, np.array([point])
                 )
             except ValueError as error:
                 faults.append(f"{face.file} <{face.path}>: landmark {name}: {error}")
-                continue
-            found[names.index(name)] = at.positions(face.mesh.points)[0]
     if faults:
         raise InputError(f"{'; '.join(faults)}; correct --landmarks")
     return found
@@ -171,9 +169,7 @@ def plan_surface(spec: SurfaceSpec, take: TakeReader, *, progress: Progress) -> 
     if len(bound) < len(binding.names):
         missing = [name for name in binding.names if name not in sample.labels]
         notes.append(f"the take lacks {len(missing)} of the bound markers: {first_few(missing)}")
-    places = SurfacePoints(
-        binding.places.faces[bound], binding.places.corners[bound], binding.places.weights[bound]
-    )
+    places = binding.places.select(bound)
     with as_input_error(f"{spec.take} cannot be aligned with {spec.mesh}"):
         proportions = fit_proportions(
             sample.neutral[columns],
@@ -302,7 +298,9 @@ def _coincidence_notes(
     spec: SurfaceSpec, distances: SurfaceDistances, names: list[str]
 ) -> list[str]:
     """Return a note on markers at one place; refuse them if every marker is interpolated."""
-    pairs = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
+    straight = spec.blend == 0 or spec.choose_blend  # else touching lips are apart
+    between = distances.euclidean_between if straight else distances.geodesic_between
+    pairs = np.argwhere(np.triu(between < _COINCIDENCE_MM, 1)).tolist()
     if not pairs:
         return []
     listed = first_few([f"{names[i]} and {names[j]}" for i, j in pairs])
