@@ -19,6 +19,7 @@ from usdface.numerics.registration.face_skin import (
 from usdface.numerics.registration.marker_binding import (
     FEWEST_MARKERS,
     MarkerBinding,
+    choose_by_motion,
     fit_proportions,
     motion_agreement,
 )
@@ -46,6 +47,12 @@ motion from its neighbours', in units of the median difference."""
 _SKIN_RADIUS_SHARE = 0.35
 """Standard deviation of the weight of skin over its distance from the nearest marker, as a share of
 the face's size."""
+
+_FOLD_REACH = 0.08
+"""[of the face's size] Distance of skin from a marker's expected position up to which the marker
+may be on it, and least detour along the surface from one side of a fold to the other."""
+_FOLD_DETOUR = 3.0
+"""Ratio of the distance along the surface to the straight one from which skin is across a fold."""
 
 _SAMPLE_FRAMES = 400
 _MOST_POINTS = 60_000
@@ -98,7 +105,7 @@ def propose_binding(
             cloud = marker_cloud(names, neutral, sample, visible=seen, rigid=rigid)
             places = _by_shapes(mesh, cloud, pinned)
         elif len(pins) >= FEWEST_LANDMARKS:
-            places = _by_landmarks(mesh, neutral, pinned)
+            places = _by_landmarks(mesh, neutral, sample, pinned)
         else:
             raise InputError(
                 f"<{mesh.path}>: has no shapes from which markers could be placed, and {len(pins)} "
@@ -119,7 +126,9 @@ def _by_shapes(mesh: RigMesh, cloud: MarkerCloud, pins: dict[int, FloatArray]) -
     return places_of_corners(mesh.face_counts, mesh.face_indices, virtual.points, virtual.weights)
 
 
-def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray]) -> SurfacePoints:
+def _by_landmarks(
+    mesh: RigMesh, neutral: FloatArray, sample: FloatArray, pins: dict[int, FloatArray]
+) -> SurfacePoints:
     markers = list(pins)
     targets = np.array([pins[marker] for marker in markers])
     start = align_landmarks(neutral[markers], targets)
@@ -143,10 +152,61 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
     )
     distance = np.linalg.norm(near.positions(mesh.points) - sampled.positions(mesh.points), axis=1)
     same = distance < 2 * np.sqrt(np.median(skin.areas))  # else it is on other skin
-    return SurfacePoints(
+    places = SurfacePoints(
         np.where(same, near.faces, sampled.faces),
         np.where(same[:, None], near.corners, sampled.corners),
         np.where(same[:, None], near.weights, sampled.weights),
+    )
+    return _on_sides_that_move_alike(mesh, places, skin, found.warped, sample - neutral, pins)
+
+
+def _on_sides_that_move_alike(
+    mesh: RigMesh,
+    places: SurfacePoints,
+    skin: SurfaceSamples,
+    expected: FloatArray,
+    moved: FloatArray,
+    pins: dict[int, FloatArray],
+) -> SurfacePoints:
+    """Put markers on the side of a fold, such as a lip, whose other markers move as they do.
+
+    A marker has a second place if skin near its expected position (markers, 3) is far from its
+    place along the surface. Meshes of more than `_MOST_POINTS` points are not examined.
+    """
+    if len(mesh.points) > _MOST_POINTS:
+        return places
+    at, size = places.positions(mesh.points), rms_radius(expected)
+    surface = (mesh.points, mesh.face_counts, mesh.face_indices)
+    to_points = geodesic_distances(*surface, places, metric="dijkstra-diagonals").to_points
+    reach = np.full(len(expected), _FOLD_REACH * size)
+    nearby = KDTree(skin.positions).query_ball_point(expected, reach)
+    second: dict[int, int] = {}
+    for marker, samples in enumerate(nearby):
+        near = np.array(sorted(samples), np.int64)
+        straight = np.linalg.norm(skin.positions[near] - at[marker], axis=1)
+        along = (to_points[marker][skin.corners[near]] * skin.weights[near]).sum(axis=1)
+        across = near[along > _FOLD_DETOUR * straight + reach[0]]
+        if len(across) and marker not in pins:
+            away = np.linalg.norm(skin.positions[across] - expected[marker], axis=1)
+            second[marker] = int(across[away.argmin()])
+    if not second:
+        return places
+    markers, rows = np.array(list(second)), list(second.values())
+    others = places_of_corners(*surface[1:], skin.corners[rows], skin.weights[rows])
+    every = SurfacePoints(
+        np.concatenate([places.faces, others.faces]),
+        np.concatenate([places.corners, others.corners]),
+        np.concatenate([places.weights, others.weights]),
+    )
+    squares = [
+        ((each - expected[markers]) ** 2).sum(axis=1) / (2 * reach[0] ** 2)
+        for each in (others.positions(mesh.points), at[markers])
+    ]
+    chosen = choose_by_motion(
+        moved, _distances_between(mesh, every), markers, squares[0] - squares[1]
+    )
+    return places.replaced(
+        {int(markers[row]): others.select([row]) for row in np.flatnonzero(chosen).tolist()}
     )
 
 
@@ -223,7 +283,7 @@ def bind_at(
     excess = np.maximum(fitted.away_mm - median, 0.0)
     confidence = 1 / (1 + (excess / (_HALF_DISTANCE_SHARE * size)) ** 2)
     moved = (sample - neutral) @ fitted.linear.T
-    difference = motion_agreement(moved, _distances_between(mesh, places, at))
+    difference = motion_agreement(moved, _distances_between(mesh, places))
     confidence *= 1 / (1 + (np.maximum(difference - 1, 0) / _HALF_MOTION_RATIO) ** 4)
     confidence[list(sources)] = 1.0
     return MarkerBinding(
@@ -235,11 +295,12 @@ def bind_at(
     )
 
 
-def _distances_between(mesh: RigMesh, places: SurfacePoints, at: FloatArray) -> FloatArray:
-    """Return geodesic distances between markers, which are large across the lips.
+def _distances_between(mesh: RigMesh, places: SurfacePoints) -> FloatArray:
+    """Return geodesic distances between places, which are large across the lips.
 
     On meshes of more than `_MOST_POINTS` points they are Euclidean.
     """
+    at = places.positions(mesh.points)
     straight: FloatArray = np.linalg.norm(at[:, None] - at[None], axis=2)
     if len(mesh.points) > _MOST_POINTS:
         return straight

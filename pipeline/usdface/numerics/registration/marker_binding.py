@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, rms_radius
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, rms_radius
 from usdface.numerics.registration.cloud_alignment import align_landmarks
 from usdface.numerics.surface.surface_places import SurfacePoints
 
@@ -21,6 +21,8 @@ _HALF_WEIGHT_SIZE = 0.10  # [of the face's size] residual of a marker that weigh
 _ROBUST_ROUNDS = 8
 _NOISE_MM = 0.3  # standard deviation of a marker's displacement, per coordinate
 _CORRELATION_LENGTH_MM = 60.0  # of the motion of neighbouring markers
+_EVIDENCE_SAMPLES = 6.0  # effective number of independent samples of a path
+_MODEL_ERROR = 0.04  # [of a path's energy] that its neighbours do not tell
 
 
 @dataclass(frozen=True)
@@ -122,3 +124,57 @@ def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatA
     residual = (inverse @ moved) / np.diag(inverse)[:, None]
     standardised = np.sqrt((residual**2).sum(axis=1) * np.diag(inverse))
     return standardised / max(float(np.median(standardised)), 1e-9)
+
+
+def choose_by_motion(
+    displacements: FloatArray, distances: FloatArray, others: IntArray, excess: FloatArray
+) -> BoolArray:
+    """Choose between two places of each of some markers, such as on either lip, by their motion.
+
+    A marker moves as the markers that are near along the surface do. Markers with one place are
+    known; of the others, the one whose two places differ most is chosen first, and is known then.
+
+    Parameters
+    ----------
+    displacements : (frames, markers, 3) float array
+        [mm]
+    distances : (places, places) float array
+        Along the surface [mm]. The first place of every marker, then the second ones.
+    others : (second places,) int array
+        Marker of each second place; each marker once.
+    excess : (second places,) float array
+        Half the squared distance of the second place from where the marker is expected, in
+        standard deviations, minus that of the first.
+
+    Returns
+    -------
+    second : (second places,) bool array
+        Whether the marker is at its second place.
+    """
+    frames, markers = displacements.shape[:2]
+    moved = displacements.transpose(1, 0, 2).reshape(markers, -1)
+    noise_energy = 3 * frames * _NOISE_MM**2
+    kernel = np.exp(-np.asarray(distances, float) / _CORRELATION_LENGTH_MM)
+    noise = noise_energy / (float((moved**2).sum() / markers) or 1.0)
+    known = np.setdiff1d(np.arange(markers), others).tolist()
+    owners = np.concatenate([np.arange(markers), others])
+    energy = (moved[others] ** 2).sum(axis=1) + noise_energy
+    second, open_ = np.zeros(len(others), bool), np.arange(len(others))
+    while len(open_) and known:
+        inside = kernel[np.ix_(known, known)] + noise * np.eye(len(known))
+        dual = np.linalg.lstsq(inside, moved[owners[known]], rcond=None)[0]
+        evidence = [
+            np.log(
+                ((moved[others[open_]] - kernel[np.ix_(rows, known)] @ dual) ** 2).sum(axis=1)
+                / energy[open_]
+                + _MODEL_ERROR
+            )
+            for rows in (others[open_], markers + open_)
+        ]
+        cost = excess[open_] + _EVIDENCE_SAMPLES / 2 * (evidence[1] - evidence[0])
+        surest = int(np.abs(cost).argmax())
+        chosen = open_[surest]
+        second[chosen] = cost[surest] < 0
+        known.append(int(markers + chosen if second[chosen] else others[chosen]))
+        open_ = np.delete(open_, surest)
+    return second

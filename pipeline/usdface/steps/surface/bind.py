@@ -79,8 +79,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             metadata=provenance.metadata,
         )
     report = _report(spec, binding, face, left_out)
-    landmarks = [i for i, source in enumerate(binding.sources) if source == "landmark"]
-    doubts = _landmark_notes(sample.neutral[landmarks], at[landmarks])
+    doubts = _landmark_notes(sample.neutral, binding, at)
     return replace(report, notes=(*warnings, *doubts, *report.notes))
 
 
@@ -129,10 +128,13 @@ def _facts(binding: MarkerBinding) -> tuple[str, ...]:
     )
 
 
-def _landmark_notes(markers: FloatArray, at: FloatArray) -> list[str]:
-    """Return a note if no similarity takes the markers [mm] to their landmarks [mm]."""
-    if len(markers) < FEWEST_LANDMARKS:
+def _landmark_notes(neutral: FloatArray, binding: MarkerBinding, places: FloatArray) -> list[str]:
+    """Return a note if no similarity takes the neutral markers [mm] to their landmarks [mm]."""
+    landmarks = [i for i, source in enumerate(binding.sources) if source == "landmark"]
+    if len(landmarks) < FEWEST_LANDMARKS:
         return []
+    markers, at = neutral[landmarks], places[landmarks]
+    worst = max(landmarks, key=lambda index: binding.distance_mm[index])
     try:
         aligned = align_landmarks(markers, at).apply(markers)
     except ValueError:  # on a line: enough where the mesh has shapes
@@ -143,7 +145,8 @@ def _landmark_notes(markers: FloatArray, at: FloatArray) -> list[str]:
         return []
     return [
         f"the landmarks are {away:.1f} mm, {share:.0%} of the face's size, from where those "
-        "markers are on a face of the performer's shape; check that none are exchanged"
+        f"markers are on a face of the performer's shape, {binding.names[worst]} the farthest: "
+        "check it, and that none are exchanged"
     ]
 
 
