@@ -741,6 +741,32 @@ def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:
     assert "pairs 6 (frame 6) and 31 (frame 31) conflict" in told
 
 
+def test_a_target_like_the_source_of_another_pair_is_reported(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    header = "frame,jawOpen,mouthSmileLeft,eyeBlinkLeft,eyeBlinkRight\n"
+    right = ["1,0,0,0,0", "2,1,0,0,0", "3,0,1,0,0", "4,0,0,1,0", "5,0,0,0,1"]
+    wrong = [*right[:1], "2,0,1,0,0", *right[2:3], "4,0,0,0,1", *right[4:]]
+    for name, rows in (("source", right), ("right", right), ("wrong", wrong)):
+        Path(f"{name}.csv").write_text(header + "\n".join(rows) + "\n")
+    rig = str(finished_shot / "hero.usdc")
+    doubted = []
+    for name in ("right", "wrong"):
+        files = ["--source", "source.csv", "--target", f"{name}.csv", "--out", f"{name}.pairs.usda"]
+        rigs = ["--source-rig", rig, "--target-rig", rig]
+        assert usdface("pairs", "import", *files, *rigs, "--weight-unit", "one") == 0
+        capsys.readouterr()
+        line = f"train-retarget {name}.pairs.usda --out {name}.usdc --json"
+        assert usdface(*line.split()) == 0
+        report = json.loads(capsys.readouterr().out)
+        doubted.append((report["figures"]["doubted"], " ".join(report["notes"])))
+    assert doubted[0][0] == []
+    assert doubted[1][0] == [2, 4]
+    assert "pair 2 (frame 2): the target moves like the source of pair 3 (frame 3)" in doubted[1][1]
+    assert "pair 4 (frame 4): the target moves like the mirror image" in doubted[1][1]
+
+
 JOB = """
 job: face_to_face
 steps:

@@ -71,10 +71,12 @@ class Correspondence:
     target: FloatArray
     """`source`, `target`: (shapes, samples, 3): displacements at weight 1 in the frame of the
     target's face, the source's in its proportions [mm]."""
+    mirror: IntArray
+    """(samples,): the sample nearest to the mirror image of each."""
 
     def similarity(self) -> FloatArray:
         """Return the cosine between every source and every target shape: (ns, nt)."""
-        return np.asarray(_unit(self.source) @ _unit(self.target).T)
+        return np.asarray(unit_fields(self.source) @ unit_fields(self.target).T)
 
 
 @dataclass(frozen=True)
@@ -111,9 +113,12 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
     stride = max(len(one.skin.positions) // _SAMPLE_COUNT, 1)
     chosen = np.arange(0, len(one.skin.positions), stride)
     _, nearest = KDTree(other.skin.positions).query(place(one.skin.positions[chosen]))
+    at = other.skin.positions[np.asarray(nearest, np.int64)]
+    _, opposite = KDTree(at).query(at * [-1, 1, 1] + [2 * at[:, 0].mean(), 0, 0])
     return Correspondence(
         source=move(one.skin.deltas[:, chosen].astype(np.float64)),
         target=other.skin.deltas[:, np.asarray(nearest, np.int64)].astype(np.float64),
+        mirror=np.asarray(opposite, np.int64),
     )
 
 
@@ -380,6 +385,7 @@ def _surface_errors(where: str) -> Iterator[None]:
         raise InputError(f"{where}: {error}") from error
 
 
-def _unit(fields: FloatArray) -> FloatArray:
+def unit_fields(fields: FloatArray) -> FloatArray:
+    """Return fields (n, samples, 3) as unit vectors (n, 3 * samples); 0 where nothing moves."""
     flat = fields.reshape(len(fields), -1)
     return np.asarray(flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12))

@@ -19,6 +19,7 @@ from usdface.model.retarget.control_space import (
 )
 from usdface.model.retarget.cyclic import sampled_displacements
 from usdface.model.retarget.name_matching import transfer_by_names
+from usdface.model.retarget.pair_doubts import PairDoubt, find_pair_doubts
 from usdface.model.retarget.train import (
     describe_retargeting_figures,
     retargeting_table,
@@ -47,6 +48,9 @@ def run(spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress) 
         pairs, notes = _with_tuned(pairs, spec.references)
     check_pairs(pairs, str(spec.pairs))
     notes += pair_notes(pairs)
+    progress(0.0, "comparing the faces of the pairs")
+    doubts = _doubts(pairs)
+    notes += _doubt_notes(pairs, doubts)
     performance = None
     if spec.source is not None:
         motion = read_source_motion(spec.source)
@@ -82,6 +86,7 @@ def run(spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress) 
         | {
             "unused": list(unused_shapes(pairs)),
             "conflicts": [[each.first + 1, each.second + 1] for each in find_pair_conflicts(pairs)],
+            "doubted": [each.pair + 1 for each in doubts],
         },
         table=retargeting_table(trained),
     )
@@ -157,6 +162,40 @@ def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
     ranges = rig.ranges_of(pairs.target.shapes)
     low, high = pairs.target.weights.min(axis=0), pairs.target.weights.max(axis=0)
     return np.stack([np.minimum(ranges[:, 0], low), np.maximum(ranges[:, 1], high)], axis=1)
+
+
+def _doubts(pairs: ExpressionPairs) -> tuple[PairDoubt, ...]:
+    """Return pairs that may be wrong; none if the rigs are unknown or cannot be compared."""
+    files = pairs.source_rig, pairs.target_rig
+    if not all(file is not None and file.is_file() for file in files):
+        return ()
+    try:
+        rigs = [
+            read_rig(file, prim=prim)
+            for file, prim in zip(files, (pairs.source_prim, pairs.target_prim), strict=True)
+            if file is not None
+        ]
+        return find_pair_doubts(pairs, *rigs)
+    except InputError:
+        return ()
+
+
+def _doubt_notes(pairs: ExpressionPairs, doubts: tuple[PairDoubt, ...]) -> list[str]:
+    notes = []
+    for each in doubts[:LISTED_CONFLICTS]:
+        like = "the mirror image of its source" if each.other is None else "the source of pair "
+        if each.other is not None:
+            like += _pair(pairs, each.other)
+        notes.append(
+            f"pair {_pair(pairs, each.pair)}: the target moves like {like} (similarity "
+            f"{each.similarity:.2f}), and not like its own source ({each.own:.2f}); correct it if "
+            "it is keyed wrongly"
+        )
+    if len(doubts) > LISTED_CONFLICTS:
+        notes.append(
+            f"and {len(doubts) - LISTED_CONFLICTS} more pairs whose target is unlike its source"
+        )
+    return notes
 
 
 def pair_notes(pairs: ExpressionPairs) -> list[str]:
