@@ -17,6 +17,7 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.base import Choices
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
+from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.steps.performance.map import predict_with_keyed_blend
 
 pytestmark = pytest.mark.usefixtures("without_comparison")
@@ -49,7 +50,10 @@ def test_alpha_runs_from_one_part_to_the_other(
         )
         for b in blocks
     )
-    answers = list(predict_with_keyed_blend(mapping, placed, tmp_path / "alpha.csv", blocks))
+    shares = [
+        read_alpha(tmp_path / "alpha.csv", np.arange(b.start, b.stop), whole=False) for b in blocks
+    ]
+    answers = list(predict_with_keyed_blend(mapping, placed, shares))
     blended = np.concatenate([each.weights for each in answers])
     ends = [
         WeightPredictor(replace(mapping, settings=mapping.settings | {"alpha": share}))
@@ -63,6 +67,17 @@ def test_alpha_runs_from_one_part_to_the_other(
     np.testing.assert_allclose(blended, straight, rtol=0, atol=1e-6)
     assert np.abs(ends[1] - ends[0]).max() > 1e-3
     assert len(answers[0].uncertainty) == 60
+
+
+def test_keys_outside_of_the_whole_motion_are_refused(tmp_path: Path) -> None:
+    """Such as keys counted from 1, for a take that starts at 1001."""
+    (tmp_path / "alpha.csv").write_text("frame,alpha\n1,0\n100,1\n")
+    frames = np.arange(1001, 1101)
+    with pytest.raises(InputError, match=r"keys frames 1 to 100, all outside .* 1001 to 1100"):
+        read_alpha(tmp_path / "alpha.csv", frames, whole=True)
+    np.testing.assert_array_equal(read_alpha(tmp_path / "alpha.csv", frames, whole=False), 1)
+    (tmp_path / "constant.csv").write_text("frame,alpha\n1,0.3\n")
+    np.testing.assert_array_equal(read_alpha(tmp_path / "constant.csv", frames, whole=True), 0.3)
 
 
 def test_what_is_no_hybrid_has_nothing_to_blend(shot: Shot) -> None:

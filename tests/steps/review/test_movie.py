@@ -207,7 +207,7 @@ def test_every_process_draws_as_much(shot: Shot, workers: int, last: int) -> Non
     ("change", "message"),
     [
         ({"panels": ("video", "performance")}, "has no video to show"),
-        ({"frames": "9000-9100"}, "has no common frame"),
+        ({"frames": "9000-9100"}, "has no frame in 9000-9100; choose some of "),
     ],
 )
 def test_what_cannot_be_shown_is_said(shot: Shot, change, message) -> None:

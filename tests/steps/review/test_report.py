@@ -361,7 +361,7 @@ def test_nothing_in_the_data_becomes_part_of_the_page(shot: Shot) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"frames": "9000-9100"}, "has no common frame"),
+        ({"frames": "9000-9100"}, "has no frame in 9000-9100; choose some of "),
         ({"sheet": "hero.usdc"}, r"browsers show only \.jpg"),
     ],
 )

@@ -358,8 +358,11 @@ def other_mesh_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tupl
     return (*notes, *([f"so do {first_few(rest)}"] if rest else []))
 
 
-def read_alpha(path: Path, frames: IntArray) -> FloatArray:
-    """Return alpha at frames from .csv (frame, alpha) or USD, interpolated and held at ends."""
+def read_alpha(path: Path, frames: IntArray, *, whole: bool) -> FloatArray:
+    """Return alpha at frames from .csv (frame, alpha) or USD, interpolated and held at ends.
+
+    `whole`: whether the frames are all of the motion, so that keys outside of them are a mistake.
+    """
     keys = read_alpha_keys(path) if is_usd_name(path) else _read_keys(path)
     for frame, alpha in keys:
         if not 0.0 <= alpha <= 1.0:
@@ -368,6 +371,12 @@ def read_alpha(path: Path, frames: IntArray) -> FloatArray:
     if (np.diff(times) == 0).any():
         twice = times[1:][np.diff(times) == 0][0]
         raise InputError(f"{path}: frame {twice:g} is keyed twice; keep one")
+    inside = (times >= frames[0]) & (times <= frames[-1])
+    if whole and len(times) > 1 and not inside.any():
+        raise InputError(
+            f"{path}: keys frames {times[0]:g} to {times[-1]:g}, all outside of the motion's "
+            f"{frames[0]} to {frames[-1]}; key alpha in the motion's frame numbers"
+        )
     return np.interp(frames, times, values)
 
 

@@ -6,7 +6,6 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import tee
-from pathlib import Path
 
 import numpy as np
 
@@ -85,10 +84,9 @@ def predict_pipelined(
 
 
 def predict_with_keyed_blend(
-    mapping: TrainedMapping, sources: Iterator[MarkerSource], alpha: Path, windows: list[range]
+    mapping: TrainedMapping, sources: Iterator[MarkerSource], keyed: list[FloatArray]
 ) -> Iterator[Prediction]:
-    """Yield the prediction of each window of frames, with the share of `alpha` at each frame."""
-    keyed = [read_alpha(alpha, np.arange(window.start, window.stop)) for window in windows]
+    """Yield the prediction of each window of frames, with a share for each of its frames."""
     parts = [
         predict_pipelined(replace(mapping, settings=mapping.settings | {"alpha": share}), each)
         for share, each in zip((1.0, 0.0), tee(sources), strict=True)
@@ -218,7 +216,11 @@ def _predict(
     sources = (partial(space.place, read_markers_at(take, window)) for window in windows)
     if spec.alpha is None:
         return predict_pipelined(mapping, sources)
-    return predict_with_keyed_blend(mapping, sources, spec.alpha, windows)
+    first = windows[0].start  # windows overlap
+    frames = np.arange(first, windows[-1].stop)
+    alpha = read_alpha(spec.alpha, frames, whole=spec.frames is None)
+    keyed = [alpha[window.start - first : window.stop - first] for window in windows]
+    return predict_with_keyed_blend(mapping, sources, keyed)
 
 
 def _driven(

@@ -60,9 +60,13 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress) -> Step
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     weights, source_notes = source_columns(spec.source, motion, pairs.source_shapes)
     picks = np.arange(0, len(weights), spec.every)
+    alpha = None
+    if spec.alpha is not None:
+        frames = picks + motion.first_frame
+        alpha = read_alpha(spec.alpha, frames, whole=spec.frames is None)
     variant = CyclicVariant(
         truth=None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs),
-        alpha=None if spec.alpha is None else read_alpha(spec.alpha, picks + motion.first_frame),
+        alpha=alpha,
         published=spec.published,
     )
     measure = partial(

@@ -242,14 +242,19 @@ def open_shot(
     clip = performance.weights
     first = max(clip.first_frame, take.first_frame)
     last = min(clip.first_frame + len(clip.values), take.first_frame + take.frame_count)
+    whole = first, last
     limits = frame_range(frames)
     if limits is not None:
         first, last = max(first, limits[0]), min(last, limits[1] + 1)
     if last <= first:
+        if whole[0] < whole[1]:
+            raise InputError(
+                f"{performance_file}: has no frame in {frames}; choose some of "
+                f"{whole[0]}-{whole[1] - 1}"
+            )
         raise InputError(
-            f"{performance_file}: has no common frame with {take_file}"
-            + (f" in {frames}" if frames else "")
-            + "; give the take it was mapped from"
+            f"{performance_file}: has no common frame with {take_file}; give the take it was "
+            "mapped from"
         )
     numbers = np.arange(first, last, dtype=np.int64)
     weights = weights_in_rig_order(performance, rig, numbers)

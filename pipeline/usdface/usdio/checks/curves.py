@@ -198,8 +198,8 @@ def _frozen(samples: Samples, captured: BoolArray) -> list[Fault]:
         return []  # a pose, not a performance
     return [
         samples.warning(
-            f"time codes {first:g} to {last:g}: the face is frozen for {seconds:.1f} s; was the "
-            "capture lost there? Clean the take again or cut"
+            f"time codes {first:g} to {last:g}: the face is frozen for {seconds:.1f} s; if it is "
+            "no held pose, the capture was lost there: clean the take again, or cut"
         )
         for first, last, seconds in _stretches(samples, still & captured, FROZEN_SECONDS)
     ]

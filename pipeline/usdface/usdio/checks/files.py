@@ -63,7 +63,8 @@ def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
         yield Fault.warning(
             prim.GetPath(),
             f"{len(lost)} shapes of the source move and have no counterpart here: "
-            f"{first_few(lost)}; pair them with `usdface names` and --names, and retarget again",
+            f"{first_few(lost)}; give them counterparts, in a table (`usdface names`, --names) or "
+            "in pairs to train on, and retarget again",
         )
     if gaps := read_gaps(prim):
         yield Fault.warning(
