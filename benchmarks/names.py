@@ -83,9 +83,9 @@ def _deformations() -> None:
     files = sorted((SHARED_DATA / "rigs").glob("*.usdc"))
     heads = {"demo": demo_rig(), "demo's actor": demo_rig(ACTOR)}
     heads |= {file.stem: read_rig(file) for file in files}
-    print("\n| heads with foreign names | shapes with a counterpart | matched | right |")
-    print("|---|---|---|---|")
-    totals = np.zeros(3, np.int64)
+    print("\n| heads with foreign names | shapes with a counterpart | matched | right | one side |")
+    print("|---|---|---|---|---|")
+    totals = np.zeros(4, np.int64)
     for (one, source), (other, target) in combinations(heads.items(), 2):
         meanings = [
             {name: meant.cells for name, meant in read_meanings(rig.shapes).items()}
@@ -99,11 +99,13 @@ def _deformations() -> None:
             source_shapes=numbered.shapes,
             target_shapes=numbered_too.shapes,
         )
-        right = sum(
-            meanings[0][names[each.source]] == meanings[1][names_too[each.target]]
+        meant = [
+            (meanings[0][names[each.source]], meanings[1][names_too[each.target]])
             for each in matches
-        )
-        row = np.array([count, len(matches), right])
+        ]
+        right = sum(ours == theirs for ours, theirs in meant)
+        half = sum(bool(ours & theirs) for ours, theirs in meant) - right
+        row = np.array([count, len(matches), right, half])
         totals += row
         print(f"| {one}, {other} | {' | '.join(map(str, row))} |", flush=True)
     print(f"| **all** | {' | '.join(map(str, totals))} |")

@@ -204,6 +204,24 @@ def test_numbered_shapes_keep_their_side(faces, turn: int) -> None:
     assert differing_sides(driven, source.shapes, target.shapes) == []
 
 
+def test_both_sides_drive_a_whole_whatever_their_names(shared_data: Path) -> None:
+    heads = [read_rig(shared_data / "rigs" / f"{n}.usdc") for n in ("ict_face", "facecap_head")]
+    numbers = [{n: f"form_{i}" for i, n in enumerate(sorted(rig.shapes))} for rig in heads]
+    numbered = [foreign(*each) for each in zip(heads, numbers, strict=True)]
+    for turn in (1, -1):
+        (source, target), (ours, theirs) = numbered[::turn], numbers[::turn]
+        matches = match_deformations(
+            source, target, source_shapes=source.shapes, target_shapes=target.shapes
+        )
+        driven = {(each.source, each.target): each.share for each in matches}
+        for whole in ("cheekPuff", "browInnerUp"):
+            for side in ("_L", "_R"):
+                names = (whole + side, whole)[::turn]
+                share = driven.pop((ours[names[0]], theirs[names[1]]))
+                assert share == (0.5 if turn == 1 else 1.0)
+        assert set(driven.values()) == {1.0}
+
+
 def test_the_same_head_is_not_moved_whatever_its_shapes_tell(faces, monkeypatch) -> None:
     hero = faces[0]
     numbered = foreign(hero, {name: f"s{index}" for index, name in enumerate(hero.shapes)})

@@ -166,6 +166,12 @@ def match_deformations(
     sided = _sided_units(source_shapes), _sided_units(target_shapes)
     found += _assign_units(single, *_unmatched(found, *sided))
     found += _assign_one_sides(single, *_unmatched(found, *sided))
+    found = _with_other_halves(
+        found,
+        single,
+        _mirrored_fields(fields.source[rows], fields.mirror),
+        _mirrored_fields(fields.target[columns], fields.mirror),
+    )
     matches = (
         ShapeMatch(source_shapes[row], target_shapes[column], float(likeness[row, column]), share)
         for row, column, share in found
@@ -237,6 +243,39 @@ def _assign_one_sides(
         for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-scores)), strict=True)
         if scores[i, j] >= least
     ]
+
+
+def _with_other_halves(
+    found: list[tuple[int, int, float]],
+    likeness: FloatArray,
+    source_mirror: IntArray,
+    target_mirror: IntArray,
+) -> list[tuple[int, int, float]]:
+    """Add the other side of shapes of which one side is matched with a motion of both.
+
+    The mirrors are the shape that moves as the mirror image of each, so that names need tell no
+    sides; a shape that moves both sides is its own.
+    """
+    rows, columns = {row for row, _, _ in found}, {column for _, column, _ in found}
+    out = []
+    for row, column, share in found:
+        other = int(source_mirror[row]), int(target_mirror[column])
+        halves = other[0] != row, other[1] != column
+        free = other[0] not in rows if halves[0] else other[1] not in columns
+        if halves[0] != halves[1] and free and likeness[other] >= _LEAST_SIMILARITY:
+            share = 0.5 if halves[0] else 1.0
+            out.append((*other, share))
+        out.append((row, column, share))
+    return out
+
+
+def _mirrored_fields(fields: FloatArray, mirror: IntArray) -> IntArray:
+    """Return the shape that moves as the mirror image of each, the shape itself if none does."""
+    likeness = unit_fields(fields[:, mirror] * [-1, 1, 1]) @ unit_fields(fields).T
+    likeness = np.minimum(likeness, likeness.T)
+    best, own = likeness.argmax(axis=1), np.arange(len(fields))
+    mutual = (best[best] == own) & (likeness[own, best] >= _LEAST_SIMILARITY)
+    return np.asarray(np.where(mutual, best, own))
 
 
 _UNKNOWN, _UPPER, _LOWER, _GAZE = range(4)
