@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -95,9 +96,16 @@ def _value(path: Path, prim: Usd.Prim, name: str) -> Any:
     return value
 
 
+_RATE_TOLERANCE = 1e-3
+"""Relative difference of rates that are the same, such as 59.94 and 60000/1001."""
+
+
 @refusing_wrong_types
-def read_alpha_keys(path: Path) -> list[tuple[float, float]]:
-    """Return (time code, alpha) of every key; one for a constant value."""
+def read_alpha_keys(path: Path, *, rate: Fraction | None = None) -> list[tuple[float, float]]:
+    """Return (time code, alpha) of every key; one for a constant value.
+
+    `rate`: of the motion, whose frames the time codes are; a layer that states another is refused.
+    """
     stage = open_stage(path)
     keyed = [
         attribute
@@ -109,4 +117,11 @@ def read_alpha_keys(path: Path) -> list[tuple[float, float]]:
     times = key_times(keyed[0])
     if not times:
         return [(0.0, float(keyed[0].Get()))]
+    stated = stage.GetTimeCodesPerSecond()
+    states = stage.GetRootLayer().HasTimeCodesPerSecond()
+    if rate is not None and states and abs(stated - rate) > _RATE_TOLERANCE * rate:
+        raise InputError(
+            f"{path}: its keys are at {stated:g} time codes per second, and the motion has "
+            f"{float(rate):g}; key alpha at the motion's frames, and set timeCodesPerSecond to it"
+        )
     return [(float(time), float(keyed[0].Get(time))) for time in times]

@@ -1,11 +1,13 @@
 """A hybrid of markers whose blend is keyed: its ends are the parts, between them it is straight."""
 
 from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf, Usd
 
 from tests.model.synthetic import SyntheticFace, references_of, synthetic_face
 from tests.steps.small_shot import Shot
@@ -19,6 +21,8 @@ from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.steps.performance.map import predict_with_keyed_blend
+
+RATE = Fraction(60)
 
 pytestmark = pytest.mark.usefixtures("without_comparison")
 
@@ -51,7 +55,8 @@ def test_alpha_runs_from_one_part_to_the_other(
         for b in blocks
     )
     shares = [
-        read_alpha(tmp_path / "alpha.csv", np.arange(b.start, b.stop), whole=False) for b in blocks
+        read_alpha(tmp_path / "alpha.csv", np.arange(b.start, b.stop), rate=RATE, whole=False)
+        for b in blocks
     ]
     answers = list(predict_with_keyed_blend(mapping, placed, shares))
     blended = np.concatenate([each.weights for each in answers])
@@ -69,15 +74,32 @@ def test_alpha_runs_from_one_part_to_the_other(
     assert len(answers[0].uncertainty) == 60
 
 
-def test_keys_outside_of_the_whole_motion_are_refused(tmp_path: Path) -> None:
+def test_keys_at_other_times_than_the_motion_are_refused(tmp_path: Path) -> None:
     """Such as keys counted from 1, for a take that starts at 1001."""
     (tmp_path / "alpha.csv").write_text("frame,alpha\n1,0\n100,1\n")
     frames = np.arange(1001, 1101)
     with pytest.raises(InputError, match=r"keys frames 1 to 100, all outside .* 1001 to 1100"):
-        read_alpha(tmp_path / "alpha.csv", frames, whole=True)
-    np.testing.assert_array_equal(read_alpha(tmp_path / "alpha.csv", frames, whole=False), 1)
+        read_alpha(tmp_path / "alpha.csv", frames, rate=RATE, whole=True)
+    np.testing.assert_array_equal(
+        read_alpha(tmp_path / "alpha.csv", frames, rate=RATE, whole=False), 1
+    )
+    layer = tmp_path / "alpha.usda"
+    stage = Usd.Stage.CreateNew(str(layer))
+    keys = stage.DefinePrim("/Alpha").CreateAttribute(
+        "face:mapping:alpha", Sdf.ValueTypeNames.Float
+    )
+    for frame in (1001, 1100):
+        keys.Set(frame / 1100, frame)
+    stage.Save()
+    assert read_alpha(layer, frames, rate=RATE, whole=True)[-1] == 1
+    stage.SetTimeCodesPerSecond(24)
+    stage.Save()
+    with pytest.raises(InputError, match=r"at 24 time codes per second, and the motion has 60"):
+        read_alpha(layer, frames, rate=RATE, whole=True)
     (tmp_path / "constant.csv").write_text("frame,alpha\n1,0.3\n")
-    np.testing.assert_array_equal(read_alpha(tmp_path / "constant.csv", frames, whole=True), 0.3)
+    np.testing.assert_array_equal(
+        read_alpha(tmp_path / "constant.csv", frames, rate=RATE, whole=True), 0.3
+    )
 
 
 def test_what_is_no_hybrid_has_nothing_to_blend(shot: Shot) -> None:

@@ -153,8 +153,25 @@ def read_source_motion(
     )
 
 
+_BY_TABLE = (
+    "write a table of pairs with `usdface names RIG SOURCE --out FILE.csv`, edit it and give it "
+    "with --names",
+    "pair them with --names, or leave them out",
+)
+_BY_PAIRS = (
+    "give a performance of the source of these pairs or sequences",
+    "add pairs or sequences with them, or leave them out",
+)
+"""`_BY_TABLE`, `_BY_PAIRS`: remedies if no shape has a counterpart, and if some have none."""
+
+
 def source_transfer(
-    path: Path, motion: SourceMotion, wanted: tuple[str, ...], names: Path | None = None
+    path: Path,
+    motion: SourceMotion,
+    wanted: tuple[str, ...],
+    names: Path | None = None,
+    *,
+    remedies: tuple[str, str] = _BY_TABLE,
 ) -> tuple[Transfer, tuple[str, ...]]:
     """Return the transfer from a motion's shapes to others, and notes.
 
@@ -174,18 +191,18 @@ def source_transfer(
         what = pluralize(len(unmatched), "moving shape" if matched else "shape")
         raise InputError(
             f"{path}: none of its {what} ({first_few(unmatched, most=3)}) "
-            f"has a counterpart among {first_few(wanted, most=3)}, so nothing would move; write a "
-            "table of pairs with `usdface names RIG SOURCE --out FILE.csv`, edit it and give it "
-            "with --names" + "".join(f". {note}" for note in meaning_notes(transfer))
+            f"has a counterpart among {first_few(wanted, most=3)}, so nothing would move; "
+            + remedies[0]
+            + "".join(f". {note}" for note in meaning_notes(transfer))
         )
-    return transfer, _transfer_notes(path, transfer, motion)
+    return transfer, _transfer_notes(path, transfer, motion, remedies[1])
 
 
 def source_columns(
     path: Path, motion: SourceMotion, wanted: tuple[str, ...]
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Return a motion's weights in the order of other names, as `source_transfer` matches them."""
-    transfer, notes = source_transfer(path, motion, wanted, None)
+    transfer, notes = source_transfer(path, motion, wanted, None, remedies=_BY_PAIRS)
     return motion.weights @ transfer.matrix, notes
 
 
@@ -202,7 +219,9 @@ def _rig_of(performance: PerformanceReader) -> tuple[Path, str] | None:
         return None
 
 
-def _transfer_notes(path: Path, transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
+def _transfer_notes(
+    path: Path, transfer: Transfer, motion: SourceMotion, remedy: str
+) -> tuple[str, ...]:
     notes = meaning_notes(transfer)
     unmatched = unmatched_moving(transfer, motion)
     if unmatched:
@@ -210,7 +229,7 @@ def _transfer_notes(path: Path, transfer: Transfer, motion: SourceMotion) -> tup
         of_motion = f" ({share:.0%} of the motion)" if share >= 0.01 else ""
         notes.append(
             f"{path.name}: no counterpart for {pluralize(len(unmatched), 'moving shape')}"
-            f"{of_motion}: {first_few(unmatched)}; pair them with --names, or leave them out"
+            f"{of_motion}: {first_few(unmatched)}; {remedy}"
         )
     return tuple(notes)
 

@@ -358,12 +358,12 @@ def other_mesh_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tupl
     return (*notes, *([f"so do {first_few(rest)}"] if rest else []))
 
 
-def read_alpha(path: Path, frames: IntArray, *, whole: bool) -> FloatArray:
+def read_alpha(path: Path, frames: IntArray, *, rate: Fraction, whole: bool) -> FloatArray:
     """Return alpha at frames from .csv (frame, alpha) or USD, interpolated and held at ends.
 
     `whole`: whether the frames are all of the motion, so that keys outside of them are a mistake.
     """
-    keys = read_alpha_keys(path) if is_usd_name(path) else _read_keys(path)
+    keys = read_alpha_keys(path, rate=rate) if is_usd_name(path) else _read_keys(path)
     for frame, alpha in keys:
         if not 0.0 <= alpha <= 1.0:
             raise InputError(f"{path} frame {frame:g}: alpha is {alpha:g}; it must lie in 0 to 1")

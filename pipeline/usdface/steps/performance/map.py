@@ -218,7 +218,7 @@ def _predict(
         return predict_pipelined(mapping, sources)
     first = windows[0].start  # windows overlap
     frames = np.arange(first, windows[-1].stop)
-    alpha = read_alpha(spec.alpha, frames, whole=spec.frames is None)
+    alpha = read_alpha(spec.alpha, frames, rate=take.rate, whole=spec.frames is None)
     keyed = [alpha[window.start - first : window.stop - first] for window in windows]
     return predict_with_keyed_blend(mapping, sources, keyed)
 

@@ -63,7 +63,7 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress) -> Step
     alpha = None
     if spec.alpha is not None:
         frames = picks + motion.first_frame
-        alpha = read_alpha(spec.alpha, frames, whole=spec.frames is None)
+        alpha = read_alpha(spec.alpha, frames, rate=motion.rate, whole=spec.frames is None)
     variant = CyclicVariant(
         truth=None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs),
         alpha=alpha,

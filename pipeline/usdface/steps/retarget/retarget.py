@@ -108,7 +108,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress) -> St
     alpha = None
     if spec.alpha is not None:
         frames = np.arange(motion.first_frame, motion.last_frame + 1)
-        alpha = read_alpha(spec.alpha, frames, whole=spec.frames is None)
+        alpha = read_alpha(spec.alpha, frames, rate=motion.rate, whole=spec.frames is None)
     notes = [f"{spec.source.name}: {note}" for note in motion.notes]
     if motion.gaps:
         notes.append(
