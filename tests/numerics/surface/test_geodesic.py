@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from usdface.numerics.surface.geodesic import Geodesics, euclidean_distances, geodesic_distances
+from usdface.numerics.surface.surface_graph import join_parts
 from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.numerics.surface.triangulation import triangulate
 
@@ -148,6 +149,28 @@ def test_a_texture_seam_does_not_cut_the_surface(metric: str) -> None:
     assert np.array_equal(found.to_points[:, seam], found.to_points[:, len(points) :])
     assert not found.islands.any()
     assert found.faults == whole.faults
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_a_corner_with_a_copy_of_its_own_is_no_cut_and_two_in_a_row_are(metric: str) -> None:
+    points, counts, indices = quad_grid(5, 6)
+    whole = measure((points, counts, indices), [0], [[1.0, 0.0, 0.0]], metric)
+    middle = 2 * 6 + 2
+    faces = indices.reshape(-1, 4).copy()
+    above = np.flatnonzero((faces == middle).any(axis=1))[-1]
+    faces[above][faces[above] == middle] = len(points)
+    copied = np.vstack([points, points[middle]])
+    found = measure((copied, counts, faces.ravel()), [0], [[1.0, 0.0, 0.0]], metric)
+    np.testing.assert_array_equal(found.to_points[0, :-1], whole.to_points[0])
+    assert found.to_points[0, -1] == whole.to_points[0, middle]
+    faces = indices.reshape(-1, 4).copy()
+    lips = {middle: len(points), middle + 1: len(points) + 1}
+    for row in np.flatnonzero((faces[:, :2, None] == list(lips)).any(axis=(1, 2))):
+        faces[row] = [lips.get(each, each) for each in faces[row].tolist()]
+    slit = np.vstack([points, points[list(lips)]])
+    np.testing.assert_array_equal(
+        join_parts(slit, counts, faces.ravel()), np.arange(len(slit)), "lips stay apart"
+    )
 
 
 def test_islands_are_told_apart_and_have_no_way_between_them() -> None:

@@ -137,7 +137,8 @@ def join_parts(points: FloatArray, face_counts: IntArray, face_indices: IntArray
     """Find the points that exporters duplicate where texture coordinates or normals are split.
 
     These are ends of open edges of different parts, at the same positions. Edges of one part are
-    not joined: closed lips without an inner mouth touch like this.
+    not joined, since closed lips without an inner mouth touch like this, unless the cut has a
+    single point on each side: a corner of a face that has a copy of its own.
 
     Returns
     -------
@@ -155,8 +156,14 @@ def join_parts(points: FloatArray, face_counts: IntArray, face_indices: IntArray
     edges[turned], at[turned] = edges[turned, ::-1], at[turned, ::-1]
     order = np.lexsort((at[:, 1], at[:, 0]))
     edges, at = edges[order], at[order]
-    same = (at[1:] == at[:-1]).all(axis=1) & (parts[edges[1:, 0]] != parts[edges[:-1, 0]])
-    pairs = np.stack([edges[:-1][same].ravel(), edges[1:][same].ravel()], axis=1)
+    touching = (at[1:] == at[:-1]).all(axis=1)
+    other_part = (parts[edges[1:, 0]] != parts[edges[:-1, 0]])[touching]
+    one, two = edges[:-1][touching], edges[1:][touching]
+    apart = one != two  # ends
+    longer = np.union1d(one[apart.all(axis=1)], two[apart.all(axis=1)])
+    within_cuts = np.isin(one, longer) | np.isin(two, longer)
+    joined = other_part[:, None] | (apart & ~within_cuts)
+    pairs = np.stack([one[joined], two[joined]], axis=1)
     copies = connected_parts(pairs, len(points))
     return np.asarray(np.unique(copies, return_index=True)[1][copies])
 
