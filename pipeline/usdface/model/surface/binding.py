@@ -184,7 +184,7 @@ def _on_sides_that_move_alike(
     for marker, samples in enumerate(nearby):
         near = np.array(sorted(samples), np.int64)
         straight = np.linalg.norm(skin.positions[near] - at[marker], axis=1)
-        along = (to_points[marker][skin.corners[near]] * skin.weights[near]).sum(axis=1)
+        along = to_points[marker][skin.corners[near]].min(axis=1)  # infinite on other parts
         across = near[along > _FOLD_DETOUR * straight + reach[0]]
         if len(across) and marker not in pins:
             away = np.linalg.norm(skin.positions[across] - expected[marker], axis=1)
