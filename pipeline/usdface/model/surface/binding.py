@@ -177,14 +177,20 @@ def _on_sides_that_move_alike(
         return places
     at, size = places.positions(mesh.points), rms_radius(expected)
     surface = (mesh.points, mesh.face_counts, mesh.face_indices)
-    to_points = geodesic_distances(*surface, places, metric="dijkstra-diagonals").to_points
     reach = np.full(len(expected), _FOLD_REACH * size)
     nearby = KDTree(skin.positions).query_ball_point(expected, reach)
+    farthest = float(reach[0] + np.linalg.norm(at - expected, axis=1).max())
+    to_points = geodesic_distances(
+        *surface,
+        places,
+        metric="dijkstra-diagonals",
+        limit=_FOLD_DETOUR * farthest + reach[0],  # beyond it, all skin in reach is across
+    ).to_points
     second: dict[int, int] = {}
     for marker, samples in enumerate(nearby):
         near = np.array(sorted(samples), np.int64)
         straight = np.linalg.norm(skin.positions[near] - at[marker], axis=1)
-        along = to_points[marker][skin.corners[near]].min(axis=1)  # infinite on other parts
+        along = to_points[marker][skin.corners[near]].min(axis=1)
         across = near[along > _FOLD_DETOUR * straight + reach[0]]
         if len(across) and marker not in pins:
             away = np.linalg.norm(skin.positions[across] - expected[marker], axis=1)

@@ -47,6 +47,7 @@ def geodesic_distances(
     places: SurfacePoints,
     *,
     metric: Metric = "dijkstra",
+    limit: float = np.inf,
     progress: Progress = silent,
 ) -> Geodesics:
     """Return distances from every place to every point, and between places.
@@ -60,6 +61,8 @@ def geodesic_distances(
     face_counts, face_indices : int arrays
         Polygons as USD stores them.
     metric : {'dijkstra', 'dijkstra-diagonals'}
+    limit : float, optional
+        Distance beyond which points are not reached [mm].
     """
     if metric not in get_args(Metric):
         raise ValueError(f"no metric {metric!r}; there are {', '.join(get_args(Metric))}")
@@ -79,7 +82,7 @@ def geodesic_distances(
         np.linalg.norm(points[polygon] - place, axis=1)
         for polygon, place in zip(polygons, positions, strict=True)
     ]
-    to_points = _shortest_paths(graph, polygons, lengths, progress)
+    to_points = _shortest_paths(graph, polygons, lengths, limit, progress)
     between = _between(to_points, places.faces, positions, polygons, lengths)
     if (joined != np.arange(len(points))).any():
         to_points = to_points[:, joined]
@@ -96,7 +99,11 @@ def euclidean_distances(positions: FloatArray, points: FloatArray) -> Float32Arr
 
 
 def _shortest_paths(
-    graph: sparse.csr_array, polygons: list[IntArray], lengths: list[FloatArray], progress: Progress
+    graph: sparse.csr_array,
+    polygons: list[IntArray],
+    lengths: list[FloatArray],
+    limit: float,
+    progress: Progress,
 ) -> Float32Array:
     """Run Dijkstra from places, as nodes with directed edges to their face's corners.
 
@@ -113,7 +120,8 @@ def _shortest_paths(
         whole: Any = sparse.block_array(
             [[graph, None], [joined, sparse.csr_array((places, places))]], format="csr"
         )
-        out[block] = dijkstra(whole, indices=count + np.arange(places))[:, :count]
+        starts = count + np.arange(places)
+        out[block] = dijkstra(whole, indices=starts, limit=limit)[:, :count]
         progress(block.stop / len(polygons), "measuring distances along edges")
     return out
 
