@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from usdface.numerics.registration.marker_binding import fit_proportions, motion_agreement
+from usdface.numerics.registration.marker_binding import (
+    choose_by_motion,
+    fit_proportions,
+    motion_agreement,
+)
 
 
 def cloud(count: int = 60) -> np.ndarray:
@@ -70,3 +74,26 @@ def test_distances_that_give_no_covariance_give_no_nan() -> None:
     np.fill_diagonal(distances, 0.0)
     moved = np.random.default_rng(0).normal(0, 3, (60, 40, 3))
     assert np.isfinite(motion_agreement(moved, distances)).all()
+
+
+def test_markers_on_one_line_are_told_apart_by_the_side_that_they_move_with() -> None:
+    """Ten on each of two lips that touch, whose corners alone join them, and ten on each side."""
+    x = np.tile(np.arange(10) * 4.0, 4)
+    side = np.repeat([1, -1, 1, -1], 10)
+    y = np.repeat([12.0, -12.0, 0.0, 0.0], 10)
+    rng = np.random.default_rng(0)
+    jaw = rng.uniform(0, 15, 80)
+    moved = np.zeros((80, 40, 3))
+    moved[:, :, 1] = -jaw[:, None] * (side < 0)
+    moved += rng.normal(0, 0.2, moved.shape)
+    lips = np.arange(20, 40)
+    misplaced = rng.random(20) < 0.5
+    first = np.concatenate([side[:20], np.where(misplaced, -side[20:], side[20:])])
+    sides = np.concatenate([first, -first[lips]])
+    at = np.column_stack([np.append(x, x[lips]), np.append(y, y[lips])])
+    distances = cdist(at, at) + 40 * (sides[:, None] != sides)
+    chosen = choose_by_motion(moved, distances, lips, np.zeros(20))
+    np.testing.assert_array_equal(chosen, misplaced)
+    still = choose_by_motion(np.zeros_like(moved), distances, lips, np.full(20, 0.1))
+    assert not still.any()
+    assert choose_by_motion(moved, distances, lips, np.full(20, 100.0)).sum() == 0
