@@ -3,6 +3,7 @@
 import contextlib
 import json
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,7 @@ READERS: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = 
                 read_weight_table),
     "weights as json": ("x.json", lambda: json.dumps(ROWS).encode(), read_weight_table),
     "alpha": ("x.csv", lambda: b"frame,alpha\n101,0\n150,1\n",
-              lambda path: read_alpha(path, np.arange(100, 160))),
+              lambda path: read_alpha(path, np.arange(100, 160), rate=Fraction(60), whole=True)),
     "names of shapes": ("x.csv", lambda: b"frame,name\n101,smile\n150,jaw\n", _from_csv),
     "manifest": ("publish.json", lambda: json.dumps({"files": {"a": {"name": "b"}}}).encode(),
                  lambda path: read_manifest(path.parent)),
