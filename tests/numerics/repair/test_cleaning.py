@@ -206,13 +206,17 @@ def test_skin_of_recorded_motion_is_never_off_the_face(shared_data, name):
         assert not find_lost(still[piece], visible[piece], neutral=at_rest).any()
 
 
-def test_gaps_longer_than_allowed_are_left_and_hold_the_last_position():
+def test_gaps_longer_than_allowed_are_left_and_predicted_from_the_other_markers():
     face = simulate_face(frames=600, noise=0.1)
-    face.visible[200:241, 20] = False
-    cleaned = clean(face, max_gap=40)
-    assert not cleaned.visible[200:241, 20].any()
-    assert (cleaned.positions[200:241, 20] == cleaned.positions[199, 20]).all()
-    assert clean(face, max_gap=41).visible.all()
+    gap = np.s_[200:400, 20]
+    face.visible[gap] = False
+    cleaned = clean(face, max_gap=199)
+    assert not cleaned.visible[gap].any()
+    assert not cleaned.confidence[gap].any()
+    away = errors_mm(cleaned.positions, face.truth)[gap]
+    held = np.linalg.norm(face.truth[199, 20] - face.truth[gap], axis=1)
+    assert away.mean() < 0.5 * held.mean()
+    assert clean(face, max_gap=200).visible.all()
 
 
 def test_a_clean_take_is_only_smoothed():

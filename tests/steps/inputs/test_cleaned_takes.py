@@ -29,9 +29,12 @@ def write(
     names: tuple[str, ...] = NAMES,
     rigid: tuple[str, ...] = NAMES[:8],
     rate: int = 60,
+    hidden: tuple[slice, int] | None = None,
     **stated: str,
 ) -> Path:
     seen = np.ones(positions.shape[:2], bool)
+    if hidden is not None:
+        seen[hidden] = False
     neutral = int(((positions - positions[0]) ** 2).sum(axis=(1, 2)).argmin())
     markers = Markers(
         names=names,
@@ -52,6 +55,19 @@ def write(
 def from_neutral(seed: int) -> FloatArray:
     """A performance that begins with the neutral face."""
     return np.concatenate([NEUTRAL[None], performance(seed)])
+
+
+@pytest.mark.parametrize(("share", "left_out"), [(0.4, ()), (0.6, (NAMES[-1],))])
+def test_a_marker_that_is_lost_for_most_of_the_takes_is_left_out(
+    tmp_path: Path, share: float, left_out: tuple[str, ...]
+) -> None:
+    positions = from_neutral(0)
+    last = len(NAMES) - 1
+    lost = slice(len(positions) - round(share * len(positions)), None)
+    take = write(tmp_path, "first", positions, hidden=(lost, last))
+    assert read_cleaned_takes((take,)).dropped == left_out
+    whole = write(tmp_path, "second", from_neutral(0))
+    assert read_cleaned_takes((take, whole)).dropped == ()
 
 
 def test_a_rigid_marker_that_is_not_in_the_take_is_left_out(tmp_path: Path) -> None:
