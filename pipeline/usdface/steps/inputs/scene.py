@@ -26,8 +26,8 @@ from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.steps.inputs.placement import placed_equation
 from usdface.usdio.surface.placement import RigPlacement
 
-_USABLE_SHARE = 0.9
-"""Share of the markers that a frame needs to be selected."""
+USABLE_SHARE = 0.9
+"""Share of the markers that a pair needs; it has the prediction of the others."""
 
 _MOTION_FRAMES = 60_000
 """Frames used to fit the space of the motion."""
@@ -97,7 +97,7 @@ def candidate_frames(takes: CleanedTakes, frames: str | None) -> BoolArray:
     """Return which frames of all takes may be selected: with most markers, within a range."""
     markers = len(takes.marker_names)
     seen = np.concatenate([np.count_nonzero(each, axis=1) for each in takes.usable])
-    candidates: BoolArray = seen >= _USABLE_SHARE * markers
+    candidates: BoolArray = seen >= USABLE_SHARE * markers
     limits = frame_range(frames)
     if limits is not None:
         candidates &= (takes.frames >= limits[0]) & (takes.frames <= limits[1])

@@ -42,11 +42,12 @@ def run(spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress) 
     captured, seen = captured_markers(take, old, frames)
     if not seen.any():
         raise InputError(
-            f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and pairs "
-            f"need all markers; {advise_markers(take, old)}"
+            f"{spec.performance}: frames {first_few(frames.tolist())} lack more than a tenth of "
+            f"the markers, which pairs need; {advise_markers(take, old)}"
         )
     if not seen.all():
-        notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")
+        left_out = first_few(frames[~seen].tolist())
+        notes.append(f"left out, missing more than a tenth of the markers: frames {left_out}")
     progress(0.8, f"read {pluralize(len(frames), 'frame')}")
     check_shapes(reader, old, spec.references)
     edited = reader.edited()[frames[seen] - reader.first_frame]

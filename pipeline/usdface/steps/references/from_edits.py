@@ -15,6 +15,7 @@ from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
+from usdface.model.mapping.motion_space import frames_at, marker_coordinates, motion_of_pairs
 from usdface.model.mapping.performer_face import face_of_references
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
@@ -28,6 +29,7 @@ from usdface.runner.origin import (
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers_at, take_head_space
+from usdface.steps.inputs.scene import USABLE_SHARE
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.references.coverage import redraw_coverage
 from usdface.usdio.performance.read import PerformanceReader
@@ -111,7 +113,7 @@ def _edited_frames(
     rows, frames, captured = rows[seen], frames[seen], captured[seen]
     if not seen.all():
         notes.append(
-            f"{performance}: left out, missing a marker: "
+            f"{performance}: left out, missing more than a tenth of the markers: "
             f"{pluralize(int((~seen).sum()), 'edited frame')}; {advise_markers(take, old)}"
         )
     if not len(rows):
@@ -184,9 +186,10 @@ def choose_distant_rows(weights: FloatArray, change: FloatArray, count: int) -> 
 def captured_markers(
     take: TakeReader, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the captured markers [mm] of frames in the references' space, and which are complete.
+    """Return the markers [mm] of frames in the references' space, and which frames show enough.
 
-    Of references of takes that carry weights: the weights, in the order of their source names.
+    Markers that are not visible have the prediction from the others. Of references of takes that
+    carry weights: the weights, in the order of their source names.
     """
     if old.source is not None:
         motion = read_source_motion(take.path)
@@ -195,7 +198,14 @@ def captured_markers(
     # Not the mapping's space, which differs if the references were selected again since.
     space = take_head_space(take, face_of_references(old))
     placed = space.place(read_markers_at(take, frames.tolist()))
-    return placed.positions.astype(np.float64), np.asarray(placed.visible.all(axis=1))
+    positions, visible = placed.positions.astype(np.float64), placed.visible
+    enough = np.asarray(visible.mean(axis=1) >= USABLE_SHARE)
+    if not visible.all():
+        space_of_motion = old.motion or motion_of_pairs(old)
+        coordinates = marker_coordinates(space_of_motion, positions, visible=visible)
+        expected = frames_at(space_of_motion, coordinates)
+        positions = np.where(visible[:, :, None], positions, expected)
+    return positions, enough
 
 
 def with_pairs(
