@@ -11,7 +11,7 @@ from tests.steps.small_shot import Shot
 from usdface.demo.rig import demo_rig
 from usdface.runner.execute import execute
 from usdface.specs.references import PlaceSpec
-from usdface.steps.inputs import placement
+from usdface.steps.inputs import placed_takes
 from usdface.steps.review.shot import ShotCamera
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -41,7 +41,7 @@ def test_a_placement_is_drawn_from_the_front_and_says_where_that_is(
         drawn.update(options)
         return np.zeros((8, 8, 3), np.uint8)
 
-    monkeypatch.setattr(placement, "draw_binding", record)
+    monkeypatch.setattr(placed_takes, "draw_binding", record)
     execute(
         PlaceSpec(
             takes=(shot / "shot.clean.take.usda",),
