@@ -152,11 +152,7 @@ def _by_landmarks(
     )
     distance = np.linalg.norm(near.positions(mesh.points) - sampled.positions(mesh.points), axis=1)
     same = distance < 2 * np.sqrt(np.median(skin.areas))  # else it is on other skin
-    places = SurfacePoints(
-        np.where(same, near.faces, sampled.faces),
-        np.where(same[:, None], near.corners, sampled.corners),
-        np.where(same[:, None], near.weights, sampled.weights),
-    )
+    places = sampled.replaced({row: near.select([row]) for row in np.flatnonzero(same).tolist()})
     return _on_sides_that_move_alike(mesh, places, skin, found.warped, sample - neutral, pins)
 
 
@@ -199,17 +195,15 @@ def _on_sides_that_move_alike(
         return places
     markers, rows = np.array(list(second)), list(second.values())
     others = places_of_corners(*surface[1:], skin.corners[rows], skin.weights[rows])
-    every = SurfacePoints(
-        np.concatenate([places.faces, others.faces]),
-        np.concatenate([places.corners, others.corners]),
-        np.concatenate([places.weights, others.weights]),
-    )
     squares = [
         ((each - expected[markers]) ** 2).sum(axis=1) / (2 * reach[0] ** 2)
         for each in (others.positions(mesh.points), at[markers])
     ]
     chosen = choose_by_motion(
-        moved, _distances_between(mesh, every), markers, squares[0] - squares[1]
+        moved,
+        _distances_between(mesh, SurfacePoints.join([places, others])),
+        markers,
+        squares[0] - squares[1],
     )
     return places.replaced(
         {int(markers[row]): others.select([row]) for row in np.flatnonzero(chosen).tolist()}

@@ -3,7 +3,7 @@
 With one weight per corner of the polygon, a place does not depend on the triangulation.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,12 @@ class SurfacePoints:
     def positions(self, points: FloatArray) -> FloatArray:
         """Return the positions of the places: (places, 3), in the points' unit."""
         return np.asarray(np.einsum("pk,pkc->pc", self.weights, points[self.corners]))
+
+    @classmethod
+    def join(cls, parts: Sequence["SurfacePoints"]) -> "SurfacePoints":
+        """Return the places of all parts, in their order."""
+        columns = zip(*((each.faces, each.corners, each.weights) for each in parts), strict=True)
+        return cls(*map(np.concatenate, columns))
 
     def select(self, rows: IntArray | list[int]) -> "SurfacePoints":
         """Return some of the places."""

@@ -6,7 +6,7 @@ is corrected by moving its sphere, by another face, other weights on the face or
 point, or by deactivating its prim, which leaves the marker out.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -139,7 +139,7 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
     places, confidence, distance_mm, sources = zip(*read, strict=True)
     binding = MarkerBinding(
         names=tuple(names),
-        places=_concatenate_places(places),
+        places=SurfacePoints.join(places),
         confidence=np.array(confidence),
         distance_mm=np.array(distance_mm),
         sources=sources,
@@ -262,14 +262,6 @@ def _value(prim: Usd.Prim, name: str) -> object:
         return value_of(prim, name)
     specs = (spec.properties[name] for spec in prim.GetPrimStack() if name in spec.properties)
     return next((spec.default for spec in specs if spec.default is not None), None)
-
-
-def _concatenate_places(parts: Sequence[SurfacePoints]) -> SurfacePoints:
-    return SurfacePoints(
-        np.concatenate([each.faces for each in parts]),
-        np.concatenate([each.corners for each in parts]),
-        np.concatenate([each.weights for each in parts]),
-    )
 
 
 def has_binding(path: Path) -> bool:
