@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import FloatArray, columns_by_name
+from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs, Retargeting, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
@@ -144,21 +145,23 @@ def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, li
     return extended, notes if lost else []
 
 
+def _rig(file: Path | None, prim: str) -> Rig | None:
+    return read_rig(file, prim=prim) if file is not None and file.is_file() else None
+
+
 def source_surface(pairs: ExpressionPairs) -> FloatArray | None:
     """Return the displacements of the source's surface per shape; None without its rig."""
-    if pairs.source_rig is None or not pairs.source_rig.is_file():
-        return None
-    rig = read_rig(pairs.source_rig, prim=pairs.source_prim)
-    if any(name not in rig.shapes for name in pairs.source_shapes):
+    rig = _rig(pairs.source_rig, pairs.source_prim)
+    if rig is None or any(name not in rig.shapes for name in pairs.source_shapes):
         return None
     return sampled_displacements(rig, pairs.source_shapes)
 
 
 def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
     """Return the ranges of the target's weights, extended to the weights of the pairs."""
-    if pairs.target_rig is None or not pairs.target_rig.is_file():
+    rig = _rig(pairs.target_rig, pairs.target_prim)
+    if rig is None:
         return None
-    rig = read_rig(pairs.target_rig, prim=pairs.target_prim)
     ranges = rig.ranges_of(pairs.target.shapes)
     low, high = pairs.target.weights.min(axis=0), pairs.target.weights.max(axis=0)
     return np.stack([np.minimum(ranges[:, 0], low), np.maximum(ranges[:, 1], high)], axis=1)
@@ -166,16 +169,10 @@ def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
 
 def _doubts(pairs: ExpressionPairs) -> tuple[PairDoubt, ...]:
     """Return pairs that may be wrong; none if the rigs are unknown or cannot be compared."""
-    files = pairs.source_rig, pairs.target_rig
-    if not all(file is not None and file.is_file() for file in files):
-        return ()
     try:
-        rigs = [
-            read_rig(file, prim=prim)
-            for file, prim in zip(files, (pairs.source_prim, pairs.target_prim), strict=True)
-            if file is not None
-        ]
-        return find_pair_doubts(pairs, *rigs)
+        source = _rig(pairs.source_rig, pairs.source_prim)
+        target = _rig(pairs.target_rig, pairs.target_prim)
+        return find_pair_doubts(pairs, source, target) if source and target else ()
     except InputError:
         return ()
 
@@ -183,9 +180,9 @@ def _doubts(pairs: ExpressionPairs) -> tuple[PairDoubt, ...]:
 def _doubt_notes(pairs: ExpressionPairs, doubts: tuple[PairDoubt, ...]) -> list[str]:
     notes = []
     for each in doubts[:LISTED_CONFLICTS]:
-        like = "the mirror image of its source" if each.other is None else "the source of pair "
+        like = "the mirror image of its source"
         if each.other is not None:
-            like += _pair(pairs, each.other)
+            like = f"the source of pair {_pair(pairs, each.other)}"
         notes.append(
             f"pair {_pair(pairs, each.pair)}: the target moves like {like} (similarity "
             f"{each.similarity:.2f}), and not like its own source ({each.own:.2f}); correct it if "
