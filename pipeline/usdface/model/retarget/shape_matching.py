@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -124,8 +124,10 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
 
 def _align(one: "_Face", other: "_Face") -> tuple[Alignment, float]:
     """Return the alignment of a face to another, and its residual over the other's size."""
-    if one.has_surface_of(other):
-        return UNMOVED, 0.0
+    rest, other_rest = one.skin.positions, other.skin.positions
+    if rest.shape == other_rest.shape:
+        if np.abs(rest - other_rest).max() < _SAME_SHARE * TYPICAL_SIZE_MM:
+            return UNMOVED, 0.0
     common = sorted(one.landmarks.keys() & other.landmarks.keys())
     if set(_ALIGNING_LANDMARKS) <= set(common):
         places, targets = (np.array([f.landmarks[name] for name in common]) for f in (one, other))
@@ -158,10 +160,13 @@ def match_deformations(
     columns = [target.shapes.index(name) for name in target_shapes]
     likeness = fields.similarity()[np.ix_(rows, columns)]
     units = _units(source_shapes), _units(target_shapes)
-    halves = [_halves(rig)[at] for rig, at in ((source, rows), (target, columns))]
-    likeness = np.where(_may_match(*halves), likeness, -1.0)
+    in_common = _halves(source)[rows][:, None] & _halves(target)[columns]
+    likeness = np.where(in_common > 0, likeness, -1.0)
     found = _assign_units(likeness, *units)
-    foreign = [~_understood(names) for names in (source_shapes, target_shapes)]
+    foreign = [
+        np.array([not each.understood for each in read_meanings(names).values()])
+        for names in (source_shapes, target_shapes)
+    ]
     single = np.where(foreign[0][:, None] | foreign[1], likeness, -1.0)
     sided = _sided_units(source_shapes), _sided_units(target_shapes)
     found += _assign_units(single, *_unmatched(found, *sided))
@@ -278,25 +283,20 @@ def _mirrored_fields(fields: FloatArray, mirror: IntArray) -> IntArray:
     return np.asarray(np.where(mutual, best, own))
 
 
-_UNKNOWN, _UPPER, _LOWER, _GAZE = range(4)
+_UPPER, _LOWER, _GAZE = 1, 2, 4
 
 
 def _halves(rig: Rig) -> IntArray:
-    """Return the half of the face that each shape moves, or gaze."""
+    """Return the halves of the face that each shape may move, as a sum, or gaze."""
     parts = shape_parts(rig, Deformer(rig))
     regions = [region_of_shape(part) for part in parts]
     halves = np.select(
-        [np.isin(regions, _UPPER_FACE), np.isin(regions, _LOWER_FACE)], [_UPPER, _LOWER], _UNKNOWN
+        [np.isin(regions, _UPPER_FACE), np.isin(regions, _LOWER_FACE)],
+        [_UPPER, _LOWER],
+        _UPPER + _LOWER,
     )
     halves[gaze_shapes(parts)] = _GAZE
     return halves
-
-
-def _may_match(source: IntArray, target: IntArray) -> BoolArray:
-    """Return whether shapes of these halves may be one motion: (ns, nt)."""
-    row = source[:, None]
-    either_unknown = (row != _GAZE) & (target != _GAZE) & ((row == _UNKNOWN) | (target == _UNKNOWN))
-    return np.asarray((row == target) | either_unknown)
 
 
 def differing_sides(
@@ -334,11 +334,6 @@ def differing_sides(
         parts = (f"{n} -> {', '.join(sorted(driven.get(n, ()))) or 'nothing'}" for n in pair)
         lines.append("; ".join(parts))
     return lines
-
-
-def _understood(names: tuple[str, ...]) -> BoolArray:
-    meanings = read_meanings(names)
-    return np.array([meanings[name].understood for name in names], dtype=np.bool_)
 
 
 def _assign_units(
@@ -404,12 +399,6 @@ class _Face:
         if extents[-1] < _LEAST_DEPTH * extents[0]:
             raise InputError(f"{rig.file}: the surface is too flat for a face")
         return cls(skin, find_landmarks(skin, rig.shapes))
-
-    def has_surface_of(self, other: "_Face") -> bool:
-        """Return whether both are the same head at rest, whatever its shapes are called."""
-        one, two = self.skin.positions, other.skin.positions
-        tolerance_mm = _SAME_SHARE * TYPICAL_SIZE_MM
-        return one.shape == two.shape and bool(np.abs(one - two).max() < tolerance_mm)
 
 
 @contextmanager
