@@ -167,7 +167,8 @@ def align_phones(
         decoder.set_align_text(" ".join(words))
         if not _decode(decoder, sound) or decoder.hyp() is None:
             continue
-        if _aligned_words(decoder) != list(words):
+        aligned = (_plain(segment.word) for segment in decoder.seg())
+        if [word for word in aligned if word not in _NO_WORDS] != list(words):
             continue
         progress((number + 0.5) / len(BEAMS), "looking for the phones")
         decoder.set_alignment()
@@ -229,12 +230,6 @@ def _decode(decoder: "Decoder", sound: bytes) -> bool:
     except RuntimeError:
         return False
     return True
-
-
-def _aligned_words(decoder: "Decoder") -> list[str]:
-    return [
-        _plain(segment.word) for segment in decoder.seg() if _plain(segment.word) not in _NO_WORDS
-    ]
 
 
 def _plain(word: str) -> str:

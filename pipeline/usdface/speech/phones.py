@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray
 
 SILENCE = "pau"
 
@@ -163,19 +163,14 @@ with all words leave 0.26 to 0.27 (breath and room), with half of them 0.59 to 0
 0.80 to 0.98."""
 
 
-def loud_moments(samples: Float32Array, *, rate: int) -> BoolArray:
-    """Return whether each step of `STEP_SECONDS` is sound rather than a pause."""
+def share_outside(samples: Float32Array, words: Sequence[Span], *, rate: int) -> float:
+    """Return the share of the sound outside all words [0-1]. `samples`: (samples,), mono."""
     size = round(STEP_SECONDS * rate)
     steps = samples[: len(samples) // size * size].reshape(-1, size).astype(np.float64)
     if not len(steps):
-        return np.zeros(0, dtype=np.bool_)
+        return 0.0
     level = np.sqrt(np.mean(steps**2, axis=1))
-    return np.asarray(level > LOUD_SHARE * np.quantile(level, 0.95))
-
-
-def share_outside(samples: Float32Array, words: Sequence[Span], *, rate: int) -> float:
-    """Return the share of the sound outside all words [0-1]. `samples`: (samples,), mono."""
-    loud = loud_moments(samples, rate=rate)
+    loud = level > LOUD_SHARE * np.quantile(level, 0.95)  # others are pauses
     middle = (np.arange(len(loud)) + 0.5) * STEP_SECONDS
     inside = np.zeros(len(loud), dtype=np.bool_)
     for word in words:

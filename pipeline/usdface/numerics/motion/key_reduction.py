@@ -142,19 +142,14 @@ def reduce_keys(
         if last - first < 2:
             continue
         part = slice(first + 1, last)
-        off = deviation(part, _line_between(weights, first, last))
+        along = (np.arange(first + 1, last) - first)[:, None] / (last - first)
+        off = deviation(part, weights[first] + along * (weights[last] - weights[first]))
         worst = int(off.argmax())
         if off[worst] > tolerance:
             middle = first + 1 + worst
             chosen[middle] = True
             spans += [(first, middle), (middle, last)]
     return np.flatnonzero(chosen)
-
-
-def _line_between(weights: FloatArray, first: int, last: int) -> FloatArray:
-    """Return the weights on the line between two rows, for the rows between them."""
-    along = (np.arange(first + 1, last) - first) / (last - first)
-    return np.asarray(weights[first] + along[:, None] * (weights[last] - weights[first]))
 
 
 def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray:
