@@ -37,9 +37,11 @@ def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
         above, variables = waiting.pop()
         _check_tree(above)
         _check_assets_confined(above, variables)
-        for asset, is_sublayer in _composed_of(above, variables):
-            identifier = above.ComputeAbsolutePath(asset)
-            if not _is_file(identifier):
+        sublayers = set(above.subLayerPaths)
+        for asset in above.GetCompositionAssetDependencies():
+            name = evaluated(asset, variables)
+            identifier = above.ComputeAbsolutePath(name) if name else ""
+            if not name or not _is_file(identifier):
                 continue  # left to USD and its resolver
             below = reached.get(identifier)
             if below is None:
@@ -51,7 +53,9 @@ def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
                 continue
             reached[identifier] = below
             # Variables of a referenced layer are weaker; those of a sublayer are ignored.
-            of_layer = variables if is_sublayer else dict(below.expressionVariables) | variables
+            of_layer = (
+                variables if asset in sublayers else dict(below.expressionVariables) | variables
+            )
             key = (identifier, _key(of_layer))
             if key not in seen:
                 seen.add(key)
@@ -81,14 +85,6 @@ def evaluated(asset: str, variables: _Variables) -> str:
         return asset
     value = Sdf.VariableExpression(asset).Evaluate(variables).value
     return value if isinstance(value, str) else ""
-
-
-def _composed_of(layer: Sdf.Layer, variables: _Variables) -> Iterator[tuple[str, bool]]:
-    """Yield the asset paths of a layer's composition, and whether each is a sublayer."""
-    sublayers = set(layer.subLayerPaths)
-    for asset in layer.GetCompositionAssetDependencies():
-        if name := evaluated(asset, variables):
-            yield name, asset in sublayers
 
 
 def _check_assets_confined(layer: Sdf.Layer, variables: _Variables) -> None:

@@ -135,7 +135,10 @@ def evaluate_cyclic(
         share(0.0, method)
         if method == POSITION_MATCHING:
             label, settings = method, ""
-            forward, back = _match_positions(pairs, source_weights, rig, target_rig)
+            matched = match_positions(correspond(rig, target_rig), source_weights)
+            returned = match_positions(correspond(target_rig, rig), matched)
+            forward = columns_by_name(matched, target_rig.shapes, pairs.target.shapes)
+            back = columns_by_name(returned, rig.shapes, pairs.source_shapes)
         else:
             trained = train_retargeting(
                 pairs,
@@ -162,15 +165,3 @@ def evaluate_cyclic(
         cyclic = source_meter.mean_vertex_mm(returned, source_weights)
         errors.append(CyclicError(label, settings, cyclic, returned, direct))
     return tuple(errors)
-
-
-def _match_positions(
-    pairs: ExpressionPairs, source_weights: FloatArray, rig: Rig, target_rig: Rig
-) -> tuple[FloatArray, FloatArray]:
-    """Return target weights by position matching, and source weights by matching these."""
-    forward = match_positions(correspond(rig, target_rig), source_weights)
-    back = match_positions(correspond(target_rig, rig), forward)
-    return (
-        columns_by_name(forward, target_rig.shapes, pairs.target.shapes),
-        columns_by_name(back, rig.shapes, pairs.source_shapes),
-    )

@@ -13,8 +13,10 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, read_json
 from usdface.numerics.surface.surface_places import nearest_places
+from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.mesh import rig_surfaces
-from usdface.usdio.surface.placement import read_given_places, rig_units_to_ours
+from usdface.usdio.surface.placement import read_given_places
+from usdface.usdio.units import stage_to_ours
 
 _LARGEST_BYTES = 1 << 20
 _FORM = (
@@ -106,7 +108,7 @@ def _at_position(value: Sequence[object], rig: Rig) -> FloatArray:
         given = []
     if len(given) != 3 or not all(map(math.isfinite, given)):
         raise ValueError(f"{value} is neither a point nor x, y, z; give one of these")
-    at = rig_units_to_ours(rig) @ given
+    at = stage_to_ours(open_stage(rig.file)) @ given
     surface = rig_surfaces(rig)[0]
     mesh = surface.mesh
     on_it = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, at[None])

@@ -46,7 +46,10 @@ class HeadDrive:
 def find_drive_target(rig: Rig, part: str, name: str) -> DriveTarget:
     """Return the only joint or Xform with a path, or with the end of one."""
     stage = open_stage(rig.file)
-    joints, xforms = _joints(stage, rig), _xforms(stage, rig)
+    skeletons = map(UsdSkel.Skeleton, skeletons_of(stage.GetPrimAtPath(rig.prim)))
+    joints = dict.fromkeys(name for each in skeletons for name in names_in(each.GetJointsAttr()))
+    prims = prims_below(stage.GetPrimAtPath(top_path(rig.prim)), UsdGeom.Xformable)
+    xforms = [str(prim.GetPath()) for prim in prims if not prim.IsA(UsdSkel.Skeleton)]
     for paths, is_joint in ((joints, True), (xforms, False)):
         exact = [path for path in paths if path == name]
         matches = exact or [path for path in paths if f"/{path}".endswith(f"/{name.lstrip('/')}")]
@@ -69,18 +72,6 @@ def skeleton_with(stage: Usd.Stage, rig: Rig, joint: str) -> UsdSkel.Skeleton:
     """Return the first skeleton of a rig that has a joint."""
     skeletons = map(UsdSkel.Skeleton, skeletons_of(stage.GetPrimAtPath(rig.prim)))
     return next(each for each in skeletons if joint in names_in(each.GetJointsAttr()))
-
-
-def _joints(stage: Usd.Stage, rig: Rig) -> list[str]:
-    skeletons = skeletons_of(stage.GetPrimAtPath(rig.prim))
-    of_each = (names_in(UsdSkel.Skeleton(each).GetJointsAttr()) for each in skeletons)
-    return list(dict.fromkeys(joint for joints in of_each for joint in joints))
-
-
-def _xforms(stage: Usd.Stage, rig: Rig) -> list[str]:
-    top = stage.GetPrimAtPath(top_path(rig.prim))
-    prims = prims_below(top, UsdGeom.Xformable)
-    return [str(prim.GetPath()) for prim in prims if not prim.IsA(UsdSkel.Skeleton)]
 
 
 def joint_rest(skeleton: UsdSkel.Skeleton, joint: str) -> tuple[FloatArray, FloatArray, bool]:

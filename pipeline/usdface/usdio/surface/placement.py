@@ -20,7 +20,7 @@ from usdface.usdio.authoring import apply_api, author_uniform, doubles
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.binding import read_binding, read_surface_hash, write_binding
-from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
+from usdface.usdio.units import MM_PER_STAGE_UNIT
 
 _PREFIX = "face:placement:"
 
@@ -140,8 +140,3 @@ def read_given_places(path: Path, rig: Rig) -> GivenPlaces:
     for row, name in enumerate(read.binding.names):
         given[read.binding.sources[row]][name] = at[row]
     return GivenPlaces(given["corrected"], given["landmark"], read.left_out, read.authors)
-
-
-def rig_units_to_ours(rig: Rig) -> FloatArray:
-    """Return the (3, 3) matrix from positions in the rig's file to millimetres, Y up."""
-    return np.asarray(stage_to_ours(open_stage(rig.file)))
