@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
-from usdface.core.assets import Rig, RigMesh, point_slices, range_ends
+from usdface.core.assets import Rig, point_slices, range_ends
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 from usdface.numerics.surface.triangulation import triangulate
@@ -27,9 +27,11 @@ class Deformer:
         counts = [len(mesh.points) for mesh in rig.meshes]
         places = list(zip(rig.meshes, point_slices(rig.meshes), strict=True))
         self.neutral: FloatArray = np.concatenate([mesh.points for mesh in rig.meshes])
-        self.triangles: IntArray = np.concatenate(
-            [_outward_triangles(mesh) + own.start for mesh, own in places]
-        )
+        triangles = []  # outward
+        for mesh, own in places:
+            found = triangulate(mesh.face_counts, mesh.face_indices)[0] + own.start
+            triangles.append(found[:, ::-1] if mesh.inside_out else found)
+        self.triangles: IntArray = np.concatenate(triangles)
         skin = {mesh.path for mesh in rig.skin_meshes}
         self._is_skin = np.repeat([mesh.path in skin for mesh in rig.meshes], counts)
         self._ends = range_ends(rig.ranges)
@@ -63,8 +65,3 @@ class Deformer:
     def full_offsets(self) -> sparse.csr_array:
         """Return displacements at the ends of ranges: (shapes, 3 * points) sparse array."""
         return sparse.csr_array(self.shapes.target_offsets().multiply(self._ends[:, None]))
-
-
-def _outward_triangles(mesh: RigMesh) -> IntArray:
-    triangles = triangulate(mesh.face_counts, mesh.face_indices)[0]
-    return triangles[:, ::-1] if mesh.inside_out else triangles

@@ -45,7 +45,11 @@ def in_chunks(
     chunks = [] if frames is None or size is None else _chunks(frames, size)
     if len(chunks) < 2 or not isinstance(step, MapSpec | MovieSpec | TrackSpec):
         return [step]
-    names = _part_names(step.out, len(chunks))
+    digits, out = max(4, len(str(len(chunks)))), step.out
+    names = tuple(
+        parts_folder(out) / f"{out.stem}.{number:0{digits}}{out.suffix}"
+        for number in range(1, len(chunks) + 1)
+    )
     parts = [{"frames": text, "out": name} for text, name in zip(chunks, names, strict=True)]
     if isinstance(step, MapSpec):
         clips = spec.clips if step.chunk is None else "always"
@@ -67,14 +71,6 @@ def _chunks(frames: FrameRange, size: int) -> list[str]:
             "many for a farm; correct the frames, or make the chunks larger"
         )
     return [f"{start}-{min(start + size - 1, last)}" for start in range(first, last + 1, size)]
-
-
-def _part_names(out: Path, count: int) -> tuple[Path, ...]:
-    digits = max(4, len(str(count)))
-    folder = parts_folder(out)
-    return tuple(
-        folder / f"{out.stem}.{number:0{digits}}{out.suffix}" for number in range(1, count + 1)
-    )
 
 
 @dataclass(frozen=True)

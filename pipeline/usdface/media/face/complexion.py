@@ -80,7 +80,10 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     parts = pieces.parts[pieces.of_point]
     skin = parts == FacePart.SKIN
     links = _neighbours(meshes)
-    smooth = _average_neighbours(exposure, links)
+    degree = np.maximum(np.asarray(links.sum(axis=1)).reshape(-1), 1)
+    smooth = exposure
+    for _ in range(2):  # against the noise of ray counts
+        smooth = 0.5 * smooth + 0.5 * np.asarray(links @ smooth) / degree
     inside = np.where(skin, smoothstep((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
     colors = palette[parts]
     bare = [mesh.colors is None and mesh.face_colors is None for mesh in meshes]
@@ -114,11 +117,3 @@ def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
     links = one_way + one_way.T
     links.data[:] = 1.0
     return links
-
-
-def _average_neighbours(values: FloatArray, links: Sparse) -> FloatArray:
-    """Average each point twice with its neighbours, against the noise of ray counts."""
-    degree = np.maximum(np.asarray(links.sum(axis=1)).reshape(-1), 1)
-    for _ in range(2):
-        values = 0.5 * values + 0.5 * np.asarray(links @ values) / degree
-    return values

@@ -101,7 +101,9 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     if not visible:
         names = ", ".join(f"<{mesh.path}>" for mesh in meshes) or "none"
         raise InputError(f"no visible mesh with polygons to draw among: {names}")
-    selection = _selection(meshes, visible)
+    kept = {id(mesh) for mesh in visible}
+    taken = np.repeat([id(mesh) in kept for mesh in meshes], [len(mesh.points) for mesh in meshes])
+    selection = sparse.eye_array(len(taken), format="csr")[np.flatnonzero(taken)]
     drawn, pieces = _recognise(visible)
     stand_ins = None if np.any(pieces.parts == FacePart.EYE) else fit_stand_in_eyes(visible)
     if stand_ins is not None:
@@ -256,13 +258,6 @@ def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
             shifted((d.middles.corners for d in drawn), rows),
         ),
     )
-
-
-def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
-    """Return the matrix that selects the points of the visible meshes."""
-    shown = {id(mesh) for mesh in visible}
-    taken = np.concatenate([np.full(len(m.points), id(m) in shown) for m in meshes])
-    return sparse.eye_array(len(taken), format="csr")[np.flatnonzero(taken)]
 
 
 def _rest_exposure(

@@ -192,10 +192,11 @@ def lay_out(spec: SheetPage) -> Layout:
     )
     count = len(spec.rows)
     bare = [Layout(widths, spec.tile_height, g, -(-count // g), 0) for g in range(1, count + 1)]
-    layouts = [
-        replace(one, head_height=_head_height(spec, one), head_lines=_head_lines(spec, one))
-        for one in bare
-    ]
+    layouts = []
+    for one in bare:
+        notes = (wrapped_note(row, number, one) for number, row in enumerate(spec.rows, start=1))
+        head_lines = 1 + max(map(len, notes), default=0)
+        layouts.append(replace(one, head_height=_head_height(spec, one), head_lines=head_lines))
     # Of equal aspects, min keeps the first, with fewer groups.
     return min(layouts, key=lambda one: abs(np.log(one.width / one.height / BEST_ASPECT)))
 
@@ -223,11 +224,6 @@ def wrapped_note(row: SheetRow, number: int, layout: Layout) -> list[str]:
     if not row.note or used <= layout.group_width:
         return []
     return wrap_text(row.note, style, max_width=layout.group_width)
-
-
-def _head_lines(spec: SheetPage, one: Layout) -> int:
-    wrapped = (wrapped_note(row, number, one) for number, row in enumerate(spec.rows, start=1))
-    return 1 + max(map(len, wrapped), default=0)
 
 
 def _head_height(spec: SheetPage, one: Layout) -> int:
