@@ -47,7 +47,9 @@ def store_images(
     folder = images_folder(spec.out)
     check_side_folder(folder)
     for take in sources:
-        named = _image_files(folder, references, take)
+        name = re.sub(r"[^\w.-]", "_", take.name)
+        pairs = [pair for pair, of in enumerate(references.takes) if of == take.name]
+        named = {pair: folder / f"{name}.{int(references.frames[pair])}.jpg" for pair in pairs}
         if not named:
             continue
         if take.video is None:
@@ -78,13 +80,6 @@ def store_images(
         for pair, file in shown.items():
             files[pair] = file
     return PairImages(tuple(files), tuple(notes))
-
-
-def _image_files(folder: Path, references: References, take: Take) -> dict[int, Path]:
-    """Return the path of the image of each of a take's pairs."""
-    name = re.sub(r"[^\w.-]", "_", take.name)
-    pairs = [i for i, of in enumerate(references.takes) if of == take.name]
-    return {pair: folder / f"{name}.{int(references.frames[pair])}.jpg" for pair in pairs}
 
 
 def _existing(files: Mapping[int, Path]) -> dict[int, Path]:

@@ -49,7 +49,10 @@ def given_frames(spec: MakeShapesSpec, take: TakeReader) -> tuple[ShapeFrame, ..
     elif spec.references is not None:
         chosen = _from_references(spec.references, take)
     else:
-        chosen = tuple(_from_text(text) for text in spec.shape_frames)
+        parts = (text.partition("=") for text in spec.shape_frames)
+        chosen = tuple(
+            ShapeFrame(int(number), name.strip() or f"frame_{number}") for number, _, name in parts
+        )
     outside = [
         each.frame for each in chosen if not take.first_frame <= each.frame <= take.last_frame
     ]
@@ -79,11 +82,6 @@ def choose_shape_frames(
         )
     chosen = sorted(frames[row] for row in rows.tolist())
     return tuple(ShapeFrame(frame, f"frame_{frame}") for frame in chosen)
-
-
-def _from_text(text: str) -> ShapeFrame:
-    number, _, name = text.partition("=")
-    return ShapeFrame(int(number), name.strip() or f"frame_{number}")
 
 
 def _from_csv(path: Path) -> tuple[ShapeFrame, ...]:
