@@ -91,7 +91,10 @@ def words_on_missing_shapes(
             continue
         if reach[owners == region].max(initial=0.0) > _LEAST_MOBILITY * np.median(motion[at]):
             continue
-        share = _followed_share(skin, samples[at], moved[:, at], ranges)
+        share = 0.0  # of the motion's energy
+        if skin.deltas[:, samples[at]].any():
+            left = _left_motion(skin, samples[at], moved[:, at], ranges)
+            share = 1.0 - float((left**2).sum() / (moved[:, at] ** 2).sum())
         if share < _FOLLOWED_SHARE:
             missing.add(region)
             named.append(
@@ -165,16 +168,6 @@ def _owners(
             region = REGIONS[int(shares.argmax())] if shares.any() else ""
         owners.append(region)
     return np.array(owners, dtype=object)
-
-
-def _followed_share(
-    skin: FaceSkin, samples: IntArray, moved: FloatArray, ranges: FloatArray
-) -> float:
-    """Return the share of the energy of some markers' motion that all shapes can explain."""
-    if not skin.deltas[:, samples].any():
-        return 0.0
-    away = _left_motion(skin, samples, moved, ranges)
-    return 1.0 - float((away**2).sum() / (moved**2).sum())
 
 
 def _unfollowed_mm(

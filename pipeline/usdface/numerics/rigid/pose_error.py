@@ -161,7 +161,11 @@ class ExpressionMotion:
         positions, visible = positions[rows], visible[rows]
         offset = np.zeros_like(self.neutral)
         seen = self.neutral[visible.any(axis=0) & ~self.rigid_markers]
-        if len(seen) < _FEWEST_MARKERS or _distance_from_line(seen) < _LEAST_SPREAD_MM:
+        from_line = 0.0  # root mean square distance from the nearest line
+        if len(seen) >= _FEWEST_MARKERS:
+            across = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)[1:]
+            from_line = float(np.sqrt((across**2).sum() / len(seen)))
+        if from_line < _LEAST_SPREAD_MM:
             return PoseErrors(self, offset, 1.0, np.zeros(6), np.diag(_START), 0.0, 0.0, 0.0)
         for _ in range(_OFFSET_ROUNDS):
             found = self.likelihood(positions - offset, visible)
@@ -273,12 +277,6 @@ class PoseLikelihood(NamedTuple):
     def noise_scale(self) -> FloatArray:
         """Factor on the variance of e in each frame, where the residuals exceed it: (frames,)."""
         return np.maximum(self.chi2 / _USUAL_CHI2, 1.0)
-
-
-def _distance_from_line(points: FloatArray) -> float:
-    """Return the root mean square distance of points from the line nearest to them."""
-    across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1:]
-    return float(np.sqrt((across**2).sum() / len(points)))
 
 
 def _maximise(information: FloatArray, score: FloatArray) -> tuple[FloatArray, ...]:

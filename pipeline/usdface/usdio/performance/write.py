@@ -287,11 +287,13 @@ def _previous(path: Path) -> tuple[str, frozenset[Path]]:
     if not (path.is_file() and weights_path(path).is_file()):
         return "", frozenset()
     try:
-        rig_path = _rig_path_in(open_layer(weights_path(path)))
+        layer = open_layer(weights_path(path))
+        animations = [each for each in prim_paths_in(layer) if each.name.startswith(ANIMATION)]
         made = read_provenance(path)
     except InputError:  # damaged, and about to be replaced
         return "", frozenset()
     folder, inputs = path.resolve().parent, () if made is None else made.inputs
+    rig_path = str(animations[0].GetParentPath()) if len(animations) == 1 else ""
     return rig_path, frozenset((folder / each).resolve() for each in inputs)
 
 
@@ -329,10 +331,3 @@ def write_takes(
             variant = Sdf.VariantSpec(variants, name)
             reference = Sdf.Reference(relative_path(reader.path, path), top)
             variant.primSpec.referenceList.prependedItems = [reference]
-
-
-def _rig_path_in(layer: Sdf.Layer) -> str:
-    """Return the prim path of the rig of a weights layer; empty if unknown."""
-    animations = [path for path in prim_paths_in(layer) if path.name.startswith(ANIMATION)]
-    places = [str(path.GetParentPath()) for path in animations]
-    return places[0] if len(places) == 1 else ""

@@ -178,7 +178,10 @@ def read_control_clip(
         First and last, inclusive; by default all.
     """
     reader = PerformanceReader(path)
-    prim, top = reader.animation, _top_of(reader.stage, reader.animation)
+    prim = reader.animation
+    # Names of attributes are relative to the rig of a performance.
+    rig = prim.GetParent() if prim.GetName().startswith(ANIMATION) else None
+    top = rig or reader.stage.GetDefaultPrim() or None
     first, last = frames_within(path, frames, reader.first_frame, reader.last_frame)
     if attributes is None:
         moving = () if top is None else moving_attributes(top)
@@ -211,15 +214,6 @@ def moving_attributes(top: Usd.Prim) -> tuple[str, ...]:
         for name, attribute in _floats_of(prim, top)
         if attribute.ValueMightBeTimeVarying()
     )
-
-
-def _top_of(stage: Usd.Stage, animation: Usd.Prim) -> Usd.Prim | None:
-    """Return the prim to which names of attributes are relative: the rig of a performance.
-
-    None if a layer has no default prim.
-    """
-    top = animation.GetParent() if animation.GetName().startswith(ANIMATION) else None
-    return top or stage.GetDefaultPrim() or None
 
 
 def controls_at(
