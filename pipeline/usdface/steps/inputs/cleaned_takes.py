@@ -242,14 +242,11 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     _check_marker_sets(paths, clouds, names, rigid)
     positions, usable = [], []
     for cloud in clouds:
-        known = cloud.usable
-        if cloud.names == names:  # then long takes are not copied
-            positions.append(cloud.positions)
-            usable.append(known)
-        else:
+        columns: slice | list[int] = slice(None)  # long takes are not copied if need not be
+        if cloud.names != names:
             columns = [cloud.names.index(name) for name in names]
-            positions.append(cloud.positions[:, columns])
-            usable.append(known[:, columns])
+        positions.append(cloud.positions[:, columns])
+        usable.append(cloud.usable[:, columns])
     frame = clouds[0].neutral_frame
     check_neutral_frame(paths[0], frame, takes[0])
     neutral = positions[0][frame - takes[0].first_frame].astype(np.float64)
@@ -286,7 +283,10 @@ def _onto_first(
         TakeNeutral(marker_names, np.zeros_like(neutral), 0.0, neutral_frame, neutral_frame)
     ]
     for index in range(1, len(takes)):
-        frames, seen = _sample_takes(positions[:index], usable[:index])
+        share = -(-SAMPLE_FRAMES // index)  # of each take
+        before = [(take, sample_frames(takes[take].frame_count, share)) for take in range(index)]
+        frames = np.concatenate([positions[take][row].astype(np.float64) for take, row in before])
+        seen = np.concatenate([usable[take][row] for take, row in before])
         face = PerformerFace(
             marker_names, rigid, neutral, frames, seen, takes[0].performer, takes[0].session
         )
@@ -309,17 +309,6 @@ def _onto_first(
         positions[index] = space.move(positions[index], usable[index])
         neutrals.append(space.neutral)
     return tuple(neutrals)
-
-
-def _sample_takes(
-    positions: list[Float32Array], usable: list[BoolArray]
-) -> tuple[FloatArray, BoolArray]:
-    """Return an equal number of frames of each take, and which markers are usable there."""
-    share = -(-SAMPLE_FRAMES // len(positions))
-    rows = [sample_frames(len(clip), share) for clip in positions]
-    frames = [clip[row].astype(np.float64) for clip, row in zip(positions, rows, strict=True)]
-    seen = [each[row] for each, row in zip(usable, rows, strict=True)]
-    return np.concatenate(frames), np.concatenate(seen)
 
 
 def _check_marker_sets(
