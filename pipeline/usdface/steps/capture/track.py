@@ -67,37 +67,26 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress) -> StepR
             )
         detector = PictureDetector(spec, provenance, folder, open_files)
         if spec.part:
-            return _write_part(spec, videos[0], timings[0], detector, provenance, progress)
+            found = list(detector.detect(spec.video, videos[0], timings[0], progress))
+            detector.write(spec.out, timings[0].pictures, found, provenance)
+            share = sum(bool(each.direct) for each in found) / len(found)
+            summary = f"{spec.out.name}: {pluralize(len(found), 'picture')}, a face in {share:.1%}"
+            return StepResult((spec.out,), summary, timings[0].notes, {"pictures": len(found)})
         cameras, notes = resolve_cameras(spec, videos)
         clips = []
         for number, (path, video, timing) in enumerate(zip(paths, videos, timings, strict=True)):
-            share = part(progress, 0.95 * number / len(paths), 0.95 * (number + 1) / len(paths))
-            detected = detector.detect(path, video, timing, share)
+            done = 0.95 * number / len(paths), 0.95 * (number + 1) / len(paths)
+            detected = detector.detect(path, video, timing, part(progress, *done))
             opening = list(islice(detected, LASTING_PICTURES))
             tracker = FaceTracker(spec.face, mirrored=spec.quality == "final")
             tracker.choose(opening)
             faces = chain(opening, detected)
-            for index, found in zip(timing.pictures.tolist(), faces, strict=True):
-                tracker.add(found, where=f"{path} at {video.times[index]:.2f} s")
+            for index, face in zip(timing.pictures.tolist(), faces, strict=True):
+                tracker.add(face, where=f"{path} at {video.times[index]:.2f} s")
             track = tracker.track(detector.score_names, _picture_size(video))
             check_faces(path, track)
             clips.append(_Clip(video, timing, track))
         return _write(spec, clips, cameras, notes, detector, provenance, progress)
-
-
-def _write_part(
-    spec: TrackSpec,
-    video: OpenVideo,
-    timing: PictureTiming,
-    detector: PictureDetector,
-    provenance: Provenance,
-    progress: Progress,
-) -> StepResult:
-    faces = list(detector.detect(spec.video, video, timing, progress))
-    detector.write(spec.out, timing.pictures, faces, provenance)
-    share = sum(bool(each.direct) for each in faces) / len(faces)
-    summary = f"{spec.out.name}: {pluralize(len(faces), 'picture')}, a face in {share:.1%}"
-    return StepResult((spec.out,), summary, timing.notes, {"pictures": len(faces)})
 
 
 def _write(

@@ -195,7 +195,16 @@ def source_transfer(
             + remedies[0]
             + "".join(f". {note}" for note in meaning_notes(transfer))
         )
-    return transfer, _transfer_notes(path, transfer, motion, remedies[1])
+    notes = meaning_notes(transfer)
+    unmatched = unmatched_moving(transfer, motion)
+    if unmatched:
+        share = sum(motion.shares[name] for name in unmatched)
+        of_motion = f" ({share:.0%} of the motion)" if share >= 0.01 else ""
+        notes.append(
+            f"{path.name}: no counterpart for {pluralize(len(unmatched), 'moving shape')}"
+            f"{of_motion}: {first_few(unmatched)}; {remedies[1]}"
+        )
+    return transfer, tuple(notes)
 
 
 def source_columns(
@@ -217,21 +226,6 @@ def _rig_of(performance: PerformanceReader) -> tuple[Path, str] | None:
         return performance.rig()
     except InputError:  # no rig, or its file is missing
         return None
-
-
-def _transfer_notes(
-    path: Path, transfer: Transfer, motion: SourceMotion, remedy: str
-) -> tuple[str, ...]:
-    notes = meaning_notes(transfer)
-    unmatched = unmatched_moving(transfer, motion)
-    if unmatched:
-        share = sum(motion.shares[name] for name in unmatched)
-        of_motion = f" ({share:.0%} of the motion)" if share >= 0.01 else ""
-        notes.append(
-            f"{path.name}: no counterpart for {pluralize(len(unmatched), 'moving shape')}"
-            f"{of_motion}: {first_few(unmatched)}; {remedy}"
-        )
-    return tuple(notes)
 
 
 def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
