@@ -103,43 +103,48 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
     InputError
         If one of them has no recognisable face, or no alignment is upright.
     """
-    one, other = _Face.of(source), _Face.of(target)
+    one, other = _find_face(source), _find_face(target)
     with _surface_errors(f"{source.file} on {target.file}"):
         forward, forward_error = _align(one, other)
         backward, backward_error = _align(other, one)
     by_inverse = backward_error < forward_error
     place = backward.undo if by_inverse else forward.apply
     move = backward.undo_motion if by_inverse else forward.apply_to_motion
-    stride = max(len(one.skin.positions) // _SAMPLE_COUNT, 1)
-    chosen = np.arange(0, len(one.skin.positions), stride)
-    _, nearest = KDTree(other.skin.positions).query(place(one.skin.positions[chosen]))
-    at = other.skin.positions[np.asarray(nearest, np.int64)]
+    (skin, _), (other_skin, _) = one, other
+    chosen = np.arange(0, len(skin.positions), max(len(skin.positions) // _SAMPLE_COUNT, 1))
+    _, nearest = KDTree(other_skin.positions).query(place(skin.positions[chosen]))
+    at = other_skin.positions[np.asarray(nearest, np.int64)]
     _, opposite = KDTree(at).query(at * [-1, 1, 1] + [2 * at[:, 0].mean(), 0, 0])
     return Correspondence(
-        source=move(one.skin.deltas[:, chosen].astype(np.float64)),
-        target=other.skin.deltas[:, np.asarray(nearest, np.int64)].astype(np.float64),
+        source=move(skin.deltas[:, chosen].astype(np.float64)),
+        target=other_skin.deltas[:, np.asarray(nearest, np.int64)].astype(np.float64),
         mirror=np.asarray(opposite, np.int64),
     )
 
 
-def _align(one: "_Face", other: "_Face") -> tuple[Alignment, float]:
+_Face = tuple[FaceSkin, dict[str, FloatArray]]
+"""Skin and landmarks."""
+
+
+def _align(one: _Face, other: _Face) -> tuple[Alignment, float]:
     """Return the alignment of a face to another, and its residual over the other's size."""
-    rest, other_rest = one.skin.positions, other.skin.positions
+    (skin, landmarks), (other_skin, other_landmarks) = one, other
+    rest, other_rest = skin.positions, other_skin.positions
     if rest.shape == other_rest.shape:
         if np.abs(rest - other_rest).max() < _SAME_SHARE * TYPICAL_SIZE_MM:
             return UNMOVED, 0.0
-    common = sorted(one.landmarks.keys() & other.landmarks.keys())
+    common = sorted(landmarks.keys() & other_landmarks.keys())
     if set(_ALIGNING_LANDMARKS) <= set(common):
-        places, targets = (np.array([f.landmarks[name] for name in common]) for f in (one, other))
+        places, targets = (np.array([each[1][name] for name in common]) for each in (one, other))
         found = align_pairs(places, targets, weight=np.ones(len(common)))
     else:
-        stride = max(len(one.skin.positions) // CLOUD_POINTS, 1)
+        stride = max(len(rest) // CLOUD_POINTS, 1)
         found = align_cloud(
-            one.skin.positions[::stride],
-            other.skin.positions,
-            activity=other.skin.activity(),
-            areas=other.skin.areas,
-            amplitude=one.skin.activity()[::stride],
+            rest[::stride],
+            other_rest,
+            activity=other_skin.activity(),
+            areas=other_skin.areas,
+            amplitude=skin.activity()[::stride],
         )
     return found, found.residual_mm / TYPICAL_SIZE_MM
 
@@ -385,20 +390,14 @@ def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
     )
 
 
-@dataclass(frozen=True)
-class _Face:
-    skin: FaceSkin
-    landmarks: dict[str, FloatArray]
-
-    @classmethod
-    def of(cls, rig: Rig) -> "_Face":
-        deformer = Deformer(rig)
-        with _surface_errors(str(rig.file)):
-            skin = deformer.face_skin()
-        extents = np.linalg.svd(skin.positions - skin.positions.mean(axis=0), compute_uv=False)
-        if extents[-1] < _LEAST_DEPTH * extents[0]:
-            raise InputError(f"{rig.file}: the surface is too flat for a face")
-        return cls(skin, find_landmarks(skin, rig.shapes))
+def _find_face(rig: Rig) -> _Face:
+    deformer = Deformer(rig)
+    with _surface_errors(str(rig.file)):
+        skin = deformer.face_skin()
+    extents = np.linalg.svd(skin.positions - skin.positions.mean(axis=0), compute_uv=False)
+    if extents[-1] < _LEAST_DEPTH * extents[0]:
+        raise InputError(f"{rig.file}: the surface is too flat for a face")
+    return skin, find_landmarks(skin, rig.shapes)
 
 
 @contextmanager
