@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import BoolArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
@@ -156,16 +156,11 @@ def _changes(
         touched = np.zeros(len(frames), dtype=bool)
         touched[rows[differs]] = True
         offset = np.where(np.abs(offset) > _LEAST_CHANGE, offset, 0.0)[differs]
-        curve = _replaced(old.curve, rows[differs], offset)
+        offsets, mask = old.curve.offset.copy(), old.curve.mask.copy()
+        offsets[rows[differs]], mask[rows[differs]] = offset, 0.0
+        curve = EditCurve(offsets, old.curve.override, mask)
         changed[shape] = with_curve(old, curve, solve, touched)
     return changed, elsewhere, differing
-
-
-def _replaced(curve: EditCurve, rows: FloatArray, offsets: FloatArray) -> EditCurve:
-    """Return a curve with only an offset at some rows."""
-    offset, mask = curve.offset.copy(), curve.mask.copy()
-    offset[rows], mask[rows] = offsets, 0.0
-    return EditCurve(offset, curve.override, mask)
 
 
 def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) -> IntArray:

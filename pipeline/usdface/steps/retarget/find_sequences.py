@@ -38,13 +38,18 @@ def run(spec: FindSequencesSpec, *, provenance: Provenance, progress: Progress) 
         found += matches
         notes += match_notes
         progress(number / len(sequences), f"searched for {sequence.label}")
-    kept, dropped = _without_overlaps(found)
-    notes += [
-        f"frames {d.first_frame}-{d.last_frame} also match {d.label} ({d.sequence.name}), at a "
-        "larger distance than the sequence kept there"
-        for d in dropped
-    ]
-    write_matches(spec.out, kept, rate=motion.rate, provenance=provenance)
+    kept: list[SequenceMatch] = []
+    for _, match in sorted(found, key=lambda rated: rated[0]):
+        first, last = match.first_frame, match.last_frame
+        if any(first <= other.last_frame and other.first_frame <= last for other in kept):
+            notes.append(
+                f"frames {first}-{last} also match {match.label} ({match.sequence.name}), at a "
+                "larger distance than the sequence kept there"
+            )
+        else:
+            kept.append(match)
+    kept.sort(key=lambda each: each.first_frame)
+    write_matches(spec.out, tuple(kept), rate=motion.rate, provenance=provenance)
     return StepResult(
         (spec.out,),
         f"{pluralize(len(sequences), 'sequence')} at {pluralize(len(kept), 'place')} in "
@@ -154,17 +159,3 @@ def _columns(
             f"matches {', '.join(spec.shapes) or '*'}; correct --shapes"
         )
     return chosen
-
-
-def _without_overlaps(
-    found: list[_RatedMatch],
-) -> tuple[tuple[SequenceMatch, ...], tuple[SequenceMatch, ...]]:
-    kept: list[SequenceMatch] = []
-    dropped: list[SequenceMatch] = []
-    for _, match in sorted(found, key=lambda rated: rated[0]):
-        overlaps = any(
-            match.first_frame <= other.last_frame and other.first_frame <= match.last_frame
-            for other in kept
-        )
-        (dropped if overlaps else kept).append(match)
-    return tuple(sorted(kept, key=lambda each: each.first_frame)), tuple(dropped)

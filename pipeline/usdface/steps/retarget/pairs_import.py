@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from usdface.core.arrays import columns_by_name
 from usdface.core.assets import Rig
-from usdface.core.controls import ControlClip, Controls, ExpressionPairs, shape_controls
+from usdface.core.controls import Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
@@ -93,23 +94,19 @@ def _with_rest(pairs: ExpressionPairs, rig: Rig) -> ExpressionPairs:
 def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
     if is_usd_name(spec.target):
         names = find_control_attributes(rig, spec.attributes)
-        clip = _without_driven(read_control_clip(spec.target, attributes=names), rig)
-        rig.check_has(clip.controls.shapes, source=spec.target, remedy="give the rig it animates")
-        return list(range(clip.first_frame, clip.last_frame + 1)), clip.controls
+        clip = read_control_clip(spec.target, attributes=names)
+        # Shapes that others drive are evaluated.
+        shapes = tuple(name for name in clip.controls.shapes if name not in rig.logic.driven)
+        rig.check_has(shapes, source=spec.target, remedy="give the rig it animates")
+        weights = columns_by_name(clip.controls.weights, clip.controls.shapes, shapes)
+        controls = replace(clip.controls, shapes=shapes, weights=weights)
+        return list(range(clip.first_frame, clip.last_frame + 1)), controls
     if spec.attributes:
         raise InputError(
             f"{spec.target}: attributes are read from USD; give the target as a .usd animation"
         )
     table = read_weight_table(spec.target, unit=spec.weight_unit)
     return list(table.frames), shape_controls(rig.shapes, table.columns(rig.shapes))
-
-
-def _without_driven(clip: ControlClip, rig: Rig) -> ControlClip:
-    """Return a clip without the shapes that others drive, which are evaluated."""
-    old = clip.controls
-    columns = [index for index, name in enumerate(old.shapes) if name not in rig.logic.driven]
-    shapes = tuple(old.shapes[index] for index in columns)
-    return replace(clip, controls=replace(old, shapes=shapes, weights=old.weights[:, columns]))
 
 
 def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[int]) -> None:

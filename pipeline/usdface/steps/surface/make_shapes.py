@@ -11,7 +11,6 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
-from usdface.model.surface.fit import SurfaceMotion
 from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
@@ -120,8 +119,12 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress) -> 
     chosen = given or _choose_frames(spec, plan, take)
     progress(0.6, f"making {len(chosen)} shapes")
     moved = plan.deform(take, [each.frame for each in chosen])
-    if not given:
-        _check_motion(spec, moved)
+    moving = np.linalg.norm(moved.mean, axis=2).max(axis=1) >= spec.least_mm
+    if not (given or moving.all()):
+        raise InputError(
+            f"--count is {spec.count}, but {np.count_nonzero(moving)} of the faces that differ "
+            f"most move a point by {spec.least_mm:g} mm; lower it, or take a livelier take"
+        )
     shapes = [
         NewShape(each.name, moved.mean[index].astype(np.float64), take.name, each.frame)
         for index, each in enumerate(chosen)
@@ -152,16 +155,6 @@ def _choose_frames(
         markers.usable[:, plan.columns],
         count=spec.count,
     )
-
-
-def _check_motion(spec: MakeShapesSpec, moved: SurfaceMotion) -> None:
-    """Refuse chosen frames in which no point moves."""
-    moving = np.linalg.norm(moved.mean, axis=2).max(axis=1) >= spec.least_mm
-    if not moving.all():
-        raise InputError(
-            f"--count is {spec.count}, but {np.count_nonzero(moving)} of the faces that differ "
-            f"most move a point by {spec.least_mm:g} mm; lower it, or take a livelier take"
-        )
 
 
 def _report(
