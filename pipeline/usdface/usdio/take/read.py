@@ -155,11 +155,8 @@ class TakeReader:
     @property
     def warnings(self) -> tuple[str, ...] | None:
         """Anomalies of its markers, by ingest; None if they were not examined."""
-        written = self._value("face:doubts")
+        written = value_of(self._root, "face:doubts")
         return tuple(map(str, written)) if isinstance(written, Iterable) else None
-
-    def _value(self, name: str) -> object:
-        return value_of(self._root, name)
 
     @refusing_wrong_types
     def read_markers_at(self, frames: Sequence[int]) -> Markers | None:
@@ -291,13 +288,14 @@ class TakeReader:
         return [Event(str(label), float(time)) for label, time in zip(labels, times, strict=True)]
 
     def _read_video(self) -> Video | None:
-        asset = self._value("face:video:file")
+        asset = value_of(self._root, "face:video:file")
         if asset is None or not str(getattr(asset, "path", "")):
             return None
-        rate = self._value("face:video:rate")
+        rate = value_of(self._root, "face:video:rate")
         where = f"{self.path}: face:video:rate"
         offset, drift = (
-            float(str(self._value(f"face:video:{name}") or 0)) for name in ("offset", "drift")
+            float(str(value_of(self._root, f"face:video:{name}") or 0))
+            for name in ("offset", "drift")
         )
         if not (abs(offset) < MAX_SECONDS and abs(drift) < _LARGEST_DRIFT):  # also catches NaN
             raise InputError(
