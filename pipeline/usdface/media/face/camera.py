@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, row_lengths
+from usdface.core.arrays import Float32Array, FloatArray, row_lengths
 from usdface.core.assets import RigMesh, point_slices
 
 FACE_REACH = 0.45
@@ -142,7 +142,8 @@ def frame_face(
         Whether to include hair above the face, up to half the face's height.
     """
     cloud = np.asarray(points, np.float64)
-    face = cloud[_face_mask(len(cloud), weights)]
+    reach = np.zeros(len(cloud)) if weights is None else np.asarray(weights, np.float64)
+    face = cloud[reach > FACE_REACH * reach.max()] if np.any(reach > 0) else cloud
     yaw = np.radians(yaw_degrees)
     backward = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
     axes = Camera(eye=triple(backward), target=(0.0, 0.0, 0.0)).axes()
@@ -182,14 +183,6 @@ def frame_rig(meshes: Sequence[RigMesh], *, yaw_degrees: float = 0.0, hair: bool
     return frame_face(
         np.concatenate(posed), weights=np.concatenate(taken), yaw_degrees=yaw_degrees, hair=hair
     )
-
-
-def _face_mask(count: int, weights: ArrayLike | None) -> BoolArray:
-    """Return which points to frame."""
-    reach = np.zeros(count) if weights is None else np.asarray(weights, np.float64)
-    if not np.any(reach > 0):
-        return np.ones(count, bool)
-    return np.asarray(reach > FACE_REACH * reach.max())
 
 
 def triple(vector: FloatArray) -> tuple[float, float, float]:

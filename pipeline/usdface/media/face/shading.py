@@ -78,7 +78,10 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
     `plain`: without highlights and coloured light, so that a heat map keeps its colours.
     """
     if plain:
-        return _shade_plain(hits)
+        key = KEY_DIRECTION / np.linalg.norm(KEY_DIRECTION)
+        facing = np.clip((hits.normals @ key + 0.3) / 1.3, 0, 1)
+        light = 0.50 * hits.openness + 0.55 * facing * (0.4 + 0.6 * hits.lit)
+        return np.asarray(hits.albedo * light[:, None], np.float32)
     # Planes of channels, (3, n): twice as fast as rows of three.
     normals, albedo = hits.normals, np.ascontiguousarray(hits.albedo.T)
     skin = hits.parts == FacePart.SKIN
@@ -101,13 +104,6 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
             strength = gloss * (shine + 2) / 28 * lobe * np.clip(facing * 4, 0, 1) * reach
             total += strength * color
     return np.ascontiguousarray(_tone(total).T)
-
-
-def _shade_plain(hits: Hits) -> Float32Array:
-    key = KEY_DIRECTION / np.linalg.norm(KEY_DIRECTION)
-    facing = np.clip((hits.normals @ key + 0.3) / 1.3, 0, 1)
-    light = 0.50 * hits.openness + 0.55 * facing * (0.4 + 0.6 * hits.lit)
-    return np.asarray(hits.albedo * light[:, None], np.float32)
 
 
 def _ambient(normals: Float32Array) -> Float32Array:
