@@ -175,7 +175,16 @@ def _draw_view(
     _draw_names(panel, markers, at, view.named, view.columns)
     for marker in np.flatnonzero(view.named & ~view.seen).tolist():
         draw_dot(panel, at[marker, 0], at[marker, 1], 4.6, _color(markers, marker), hollow=True)
-    _draw_dots(panel, markers, at, view.seen, wanted)
+    for marker, place in wanted.items():
+        draw_line(panel, at[marker], place, _WARNING_COLOR, thickness=1.4)
+        draw_dot(panel, place[0], place[1], 5.0, _WARNING_COLOR, hollow=True)
+    for marker in np.flatnonzero(view.seen).tolist():
+        color = _color(markers, marker)
+        x, y = at[marker]
+        draw_dot(panel, x, y, 4.6, (16, 17, 19))
+        draw_dot(panel, x, y, 3.6, color)
+        if markers.warnings[marker]:
+            draw_dot(panel, x, y, 8.0, color, hollow=True)
     return panel
 
 
@@ -247,25 +256,6 @@ def _write_name(
     draw_text(
         panel, text, x=x, y=row - 9, style=style, anchor="right" if left else "left", max_width=room
     )
-
-
-def _draw_dots(
-    panel: ByteImage,
-    markers: BoundMarkers,
-    at: FloatArray,
-    seen: BoolArray,
-    wanted: dict[int, FloatArray],
-) -> None:
-    for marker, place in wanted.items():
-        draw_line(panel, at[marker], place, _WARNING_COLOR, thickness=1.4)
-        draw_dot(panel, place[0], place[1], 5.0, _WARNING_COLOR, hollow=True)
-    for marker in np.flatnonzero(seen).tolist():
-        color = _color(markers, marker)
-        x, y = at[marker]
-        draw_dot(panel, x, y, 4.6, (16, 17, 19))
-        draw_dot(panel, x, y, 3.6, color)
-        if markers.warnings[marker]:
-            draw_dot(panel, x, y, 8.0, color, hollow=True)
 
 
 def _color(markers: BoundMarkers, marker: int) -> Color:
