@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, sample_frames
+from usdface.core.arrays import IntArray, sample_frames
 from usdface.model.selection.baseline import BlendshapeEquation, Positions
 from usdface.numerics.regression.reference_design import design_k_centre
 
@@ -50,8 +50,11 @@ def find_better_neutral(
         return None
     searched = rows[sample_frames(len(rows), _SEARCHED_FRAMES)]
     solved = positions[rows[sample_frames(len(rows), _SOLVED_FRAMES)]].astype(np.float64)
-    candidates = _spread(positions[searched].astype(np.float64), equation.neutral)
-
+    # Frames farthest from the neutral and from each other, and evenly spaced ones.
+    together = np.concatenate([equation.neutral[None], positions[searched].astype(np.float64)])
+    flat, half = together.reshape(len(together), -1), _CANDIDATE_FRAMES // 2
+    farthest = design_k_centre(flat, half, already=np.zeros(1, np.int64)).chosen - 1
+    candidates = np.union1d(farthest, sample_frames(len(searched), half))
     neutrals = np.concatenate([equation.neutral[None], positions[searched[candidates]]])
     # The equation uses displacements only, so a change of neutral is a shift of positions.
     shown = ((equation.neutral - neutrals)[:, None] + solved).reshape(-1, *equation.neutral.shape)
@@ -61,10 +64,3 @@ def find_better_neutral(
     if not others_mm[best] < BETTER_SHARE * stated_mm:
         return None
     return BetterNeutral(int(searched[candidates[best]]), others_mm[best], stated_mm)
-
-
-def _spread(frames: FloatArray, neutral: FloatArray) -> IntArray:
-    """Return frames farthest from the neutral and from each other, and evenly spaced ones."""
-    together = np.concatenate([neutral[None], frames]).reshape(len(frames) + 1, -1)
-    farthest = design_k_centre(together, _CANDIDATE_FRAMES // 2, already=np.zeros(1, np.int64))
-    return np.union1d(farthest.chosen - 1, sample_frames(len(frames), _CANDIDATE_FRAMES // 2))

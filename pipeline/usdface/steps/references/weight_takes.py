@@ -59,7 +59,14 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
     takes = _without_markers(spec, motions)
     kept = find_placed_pairs(spec, takes, rig)
     progress(0.3, "matching names")
-    proposed, notes = _on_rig(spec, motions, rig)
+    rows_on_rig: list[FloatArray] = []
+    notes: list[str] = []
+    for path, motion in zip(spec.takes, motions, strict=True):
+        transfer, transfer_notes = source_transfer(path, motion, rig.shapes, spec.names)
+        rows_on_rig.append(motion.weights @ transfer.matrix)
+        notes += transfer_notes
+    low, high = rig.ranges.T
+    proposed = np.clip(np.concatenate(rows_on_rig), np.minimum(low, 0.0), high)
     already = np.array([each.row for each in kept], dtype=np.int64)
     free = np.flatnonzero(candidate_frames(takes, spec.frames))
     chosen = _far_apart(spec, proposed, already, free)
@@ -72,7 +79,7 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
         source_names=names,
         source=source[rows],
     )
-    return WeightSelection(references, kept, takes, notes)
+    return WeightSelection(references, kept, takes, tuple(dict.fromkeys(notes)))
 
 
 def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTakes:
@@ -94,20 +101,6 @@ def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTa
         sources=tuple(sources),
         neutrals=(),
     )
-
-
-def _on_rig(
-    spec: SelectSpec, motions: list[SourceMotion], rig: Rig
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the takes' weights on the rig's shapes, within their ranges, and notes."""
-    rows: list[FloatArray] = []
-    notes: list[str] = []
-    for path, motion in zip(spec.takes, motions, strict=True):
-        transfer, transfer_notes = source_transfer(path, motion, rig.shapes, spec.names)
-        rows.append(motion.weights @ transfer.matrix)
-        notes += transfer_notes
-    low, high = rig.ranges.T
-    return np.clip(np.concatenate(rows), np.minimum(low, 0.0), high), tuple(dict.fromkeys(notes))
 
 
 def _far_apart(

@@ -100,11 +100,14 @@ def write_references(
         layer.subLayerPaths = [relative_path(each, path) for each in sublayers]
         _author_pairs(layer, references)
         _author_samples(by_path[samples], references)
-        _author_images(by_path[samples], images, path)
+        if any(images):
+            named = ("" if image is None else relative_path(image, path) for image in images)
+            root, assets = by_path[samples].GetPrimAtPath(ROOT), map(Sdf.AssetPath, named)
+            author_series(root, IMAGE.name, Sdf.ValueTypeNames.Asset, assets)
         if references.placement is not None:
-            named = Sdf.AssetPath(relative_path(references.placement, path))
+            placement = Sdf.AssetPath(relative_path(references.placement, path))
             root = layer.GetPrimAtPath(ROOT)
-            author_uniform(root, PLACEMENT, Sdf.ValueTypeNames.Asset, named)
+            author_uniform(root, PLACEMENT, Sdf.ValueTypeNames.Asset, placement)
         animation = define_prim(layer, WEIGHTS_PATH, "SkelAnimation")
         names = _written_names(references)
         author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
@@ -228,14 +231,6 @@ def _author_samples(layer: Sdf.Layer, references: References) -> None:
         return
     animation = define_prim(layer, SOURCE_PATH, "SkelAnimation")
     author_weights(animation, references.source_names, references.source)
-
-
-def _author_images(layer: Sdf.Layer, images: Sequence[Path | None], path: Path) -> None:
-    if not any(images):
-        return
-    named = ("" if image is None else relative_path(image, path) for image in images)
-    root, assets = layer.GetPrimAtPath(ROOT), map(Sdf.AssetPath, named)
-    author_series(root, IMAGE.name, Sdf.ValueTypeNames.Asset, assets)
 
 
 def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:
