@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import (
@@ -105,7 +105,11 @@ def write_shape_rig(
                     f"by {least_mm:g} mm; choose a frame that differs from the neutral face"
                 )
             offsets = shape.moved_mm[moved] @ to_mesh_space.T
-            _define_shape(layer, target, shape, moved, offsets)
+            prim, kinds = define_prim(layer, target, "BlendShape"), Sdf.ValueTypeNames
+            author_uniform(prim, "pointIndices", kinds.IntArray, index_array(moved))
+            author_uniform(prim, "offsets", kinds.Vector3fArray, vector_array(offsets))
+            made = {"take": shape.take, "frame": shape.frame, "name": shape.name}
+            prim.customData = {"usdface": made}
             written[given] = len(moved)
             targets.append(target)
             extremes.append(points[moved] + offsets)
@@ -183,14 +187,3 @@ def _bind_mesh(
         # The asset's skeleton deforms the mesh at rest, the new one does not: write the points.
         Sdf.AttributeSpec(prim, "points", kinds.Point3fArray).default = vector_array(rest)
     return rest
-
-
-def _define_shape(
-    layer: Sdf.Layer, path: Sdf.Path, shape: NewShape, points: IntArray, offsets: FloatArray
-) -> None:
-    prim = define_prim(layer, path, "BlendShape")
-    kinds = Sdf.ValueTypeNames
-    indices = index_array(points)
-    author_uniform(prim, "pointIndices", kinds.IntArray, indices)
-    author_uniform(prim, "offsets", kinds.Vector3fArray, vector_array(offsets))
-    prim.customData = {"usdface": {"take": shape.take, "frame": shape.frame, "name": shape.name}}
