@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, row_lengths
+from usdface.core.arrays import FloatArray, row_lengths
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.model.placement.face_template import landmark_place
@@ -96,7 +96,10 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
         else:
             found[shape] = template.part_at(skin.positions, on_skin) or found[shape]
     least = MOST_MOVED_SHARE * motions.max(axis=1, initial=0.0)
-    for eye in _eyes(motions, gaze_shapes(found), off_skin):
+    for gaze in gaze_shapes(found).tolist():
+        eye = np.flatnonzero(off_skin & (motions[gaze] > least[gaze]))  # the points it turns
+        if not len(eye):
+            continue
         carried = motions[:, eye].mean(axis=1) > least  # a look down carries lids as far as the eye
         for shape in np.intersect1d(moving, np.flatnonzero(carried)).tolist():
             found[shape] = GAZE
@@ -120,13 +123,6 @@ def _motions(offsets: sparse.csr_array) -> FloatArray:
     squares = sparse.csr_array((offsets.data**2, points, offsets.indptr.copy()), shape=shape)
     squares.sum_duplicates()
     return np.asarray(squares.sqrt().toarray())
-
-
-def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntArray]:
-    """Return the points of the eye that each gaze shape turns."""
-    least = MOST_MOVED_SHARE * motions.max(axis=1)
-    found = [np.flatnonzero(off_skin & (motions[each] > least[each])) for each in gaze.tolist()]
-    return [points for points in found if len(points)]
 
 
 def missing_parts_note(parts: Sequence[str]) -> str:

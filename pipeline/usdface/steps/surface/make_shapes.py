@@ -114,9 +114,13 @@ def _from_references(path: Path, take: TakeReader) -> tuple[ShapeFrame, ...]:
 def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Choose frames, deform the mesh, and write the rig."""
     take = TakeReader(spec.take)
-    given = given_frames(spec, take)
+    chosen = given = given_frames(spec, take)
     plan = plan_surface(spec, take, progress=part(progress, 0.0, 0.6))
-    chosen = given or _choose_frames(spec, plan, take)
+    if not given:
+        frames = spread_frames(take, CANDIDATE_FRAMES)
+        markers = read_markers_at(take, frames)
+        displacements, seen = plan.displacements(markers.positions), markers.usable[:, plan.columns]
+        chosen = choose_shape_frames(frames, displacements, seen, count=spec.count)
     progress(0.6, f"making {len(chosen)} shapes")
     moved = plan.deform(take, [each.frame for each in chosen])
     moving = np.linalg.norm(moved.mean, axis=2).max(axis=1) >= spec.least_mm
@@ -142,19 +146,6 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress) -> 
         spec, plan, shapes, names=list(written), sd_mm=moved.sd, provenance=provenance
     )
     return _report(spec, plan, chosen, written)
-
-
-def _choose_frames(
-    spec: MakeShapesSpec, plan: SurfacePlan, take: TakeReader
-) -> tuple[ShapeFrame, ...]:
-    frames = spread_frames(take, CANDIDATE_FRAMES)
-    markers = read_markers_at(take, frames)
-    return choose_shape_frames(
-        frames,
-        plan.displacements(markers.positions),
-        markers.usable[:, plan.columns],
-        count=spec.count,
-    )
 
 
 def _report(
