@@ -159,9 +159,7 @@ class C3dFile:
         if layout.scale < 0:
             items = layout.processor.floats(raw)
         elif layout.parameters.text("ANALOG:FORMAT").upper().startswith("UNSIGNED"):
-            wide = np.frombuffer(raw, layout.processor.integer).astype(np.int32)
-            wide.reshape(-1, layout.frame_items)[:, layout.point_count * 4 :] &= 0xFFFF
-            items = wide  # unsigned samples stay positive
+            items = _unsigned_analog(np.frombuffer(raw, layout.processor.integer), layout)
         else:
             items = np.frombuffer(raw, layout.processor.integer)
         return items.reshape(len(frames), layout.frame_items)
@@ -191,6 +189,13 @@ def _residuals(words: NDArray[np.generic], scale: float) -> Float32Array:
     packed = np.where(seen, values, 0).astype(np.int32)
     unseen = np.where(not_residual, np.float32(np.nan), np.float32(-1))
     return np.where(seen, (packed & 0xFF) * np.float32(scale), unseen)
+
+
+def _unsigned_analog(items: NDArray[np.int16], layout: C3dLayout) -> NDArray[np.int32]:
+    """Widen integers so that unsigned analog samples stay positive."""
+    wide = items.astype(np.int32).reshape(-1, layout.frame_items)
+    wide[:, layout.point_count * 4 :] &= 0xFFFF
+    return wide
 
 
 _CHUNK_FRAMES = 8192

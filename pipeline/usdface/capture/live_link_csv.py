@@ -78,10 +78,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
         notes.append(f"{pluralize(rows.outside, 'row')} without a face at the ends, left out")
     where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
-    in_frames = _without_milliseconds(rows, base, notes)
-    seconds: FloatArray = np.array(in_frames.whole) + np.array(in_frames.parts) / base
-    midnights = np.diff(seconds) < -_DAY_SECONDS / 2
-    seconds[1:] += _DAY_SECONDS * np.cumsum(midnights)  # continuous across midnights
+    seconds = _unwrap(_without_milliseconds(rows, base, notes), base)
     times = resolve_device_times(seconds, np.array(rows.lines), where=where)
     _check_one_rate(seconds, rows, where)
     if round(float(times.rate)) != base and base % times.rate == 0:
@@ -174,6 +171,14 @@ def _without_milliseconds(rows: _Rows, base: int, notes: list[str]) -> _Rows:
         return rows
     notes.append("the timecode's decimals are milliseconds of the second; rows are timed by them")
     return replace(rows, parts=within.tolist())
+
+
+def _unwrap(rows: _Rows, base: int) -> FloatArray:
+    """Return seconds since the first midnight, continuous across later ones."""
+    seconds: FloatArray = np.array(rows.whole) + np.array(rows.parts) / base
+    midnights = np.diff(seconds) < -_DAY_SECONDS / 2
+    seconds[1:] += _DAY_SECONDS * np.cumsum(midnights)
+    return seconds
 
 
 def _check_one_rate(seconds: FloatArray, rows: _Rows, where: str) -> None:

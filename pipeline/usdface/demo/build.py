@@ -198,7 +198,11 @@ def drawing_processes() -> Iterator[SubmitWork | None]:
         yield give_work
 
 
-_stopped: Callable[[], bool] = bool  # of a drawing process; False until it is set
+def _never() -> bool:
+    return False
+
+
+_stopped: Callable[[], bool] = _never  # of a drawing process
 
 
 def _stop_if(stopped: Callable[[], bool]) -> None:

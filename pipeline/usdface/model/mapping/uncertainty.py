@@ -61,6 +61,7 @@ import numpy as np
 from usdface.core.arrays import Arrays, BoolArray, FloatArray
 from usdface.core.errors import InputError
 from usdface.model.regressions.bent_weights import unbend
+from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 
 ERROR_PROBABILITY = 0.9
@@ -159,13 +160,9 @@ class UncertaintyModel:
     ) -> FloatArray:
         """Return ``sigma_g``: (frames, regions) [mm]; `visible` is (frames, markers)."""
         squared = (self.calibration * self.uncalibrated(solver, solution, visible)) ** 2
-        forward = solver.forward
-        weights = unbend(solution.targets, forward.scales.curve)
-        keyed = forward.targets**2
-        pairs = keyed.sum(axis=0) / np.maximum(keyed.max(axis=0), 1e-12)
-        gain_variance = (forward.scales.tau**2 + _LEAST_KEY_ERROR**2) / np.maximum(pairs, 1.0)
+        weights = unbend(solution.targets, solver.forward.scales.curve)
         diagonals = np.einsum("rss->sr", self.grams)
-        squared += weights**2 @ (gain_variance[:, None] * diagonals)
+        squared += weights**2 @ (_gain_variance(solver.forward)[:, None] * diagonals)
         share2, mean_motion2 = self.proposals
         if share2:
             squared += share2 * (squared_motion(self.grams, weights) + mean_motion2)
@@ -220,6 +217,13 @@ class UncertaintyModel:
             for each in (squared / predicted, squared - expected)
         )
         return chi2, np.maximum(excess2, 0.0)
+
+
+def _gain_variance(forward: ForwardModel) -> FloatArray:
+    """Return ``var(g_s)`` of each shape: (shapes,)."""
+    squared = forward.targets**2
+    pairs = squared.sum(axis=0) / np.maximum(squared.max(axis=0), 1e-12)
+    return np.asarray((forward.scales.tau**2 + _LEAST_KEY_ERROR**2) / np.maximum(pairs, 1.0))
 
 
 def squared_motion(grams: FloatArray, weights: FloatArray) -> FloatArray:

@@ -92,10 +92,7 @@ def find_sequence(
         threshold = _MATCH_SHARE * mean_face_distance(sequence)
         if threshold == 0.0:
             raise ValueError("the sequence stands still, so any face at rest matches it")
-    found = starts_within(motion, sequence, threshold=threshold)
-    nearest_first = found.starts[np.argsort(found.distances, kind="stable")]
-    apart = np.isin(found.starts, list(spaced_rows(nearest_first, len(sequence))))
-    return Matches(found.starts[apart], found.distances[apart], threshold)
+    return _drop_overlapping(starts_within(motion, sequence, threshold=threshold), len(sequence))
 
 
 def find_published(motion: FloatArray, sequence: FloatArray, *, delta: float) -> Matches:
@@ -130,6 +127,13 @@ def merge_starts(starts: IntArray, length: int) -> IntArray:
         merged.append(round(float(starts[position:stop].mean())))
         position = stop
     return np.array(merged, dtype=np.int64)
+
+
+def _drop_overlapping(matches: Matches, length: int) -> Matches:
+    """Return the nearest of matches that overlap."""
+    nearest_first = matches.starts[np.argsort(matches.distances, kind="stable")]
+    apart = np.isin(matches.starts, list(spaced_rows(nearest_first, length)))
+    return Matches(matches.starts[apart], matches.distances[apart], matches.threshold)
 
 
 def _all_distances(motion: FloatArray, sequence: FloatArray) -> FloatArray:

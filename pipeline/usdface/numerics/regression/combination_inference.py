@@ -157,17 +157,21 @@ def _inbetweens(factors: dict[str, FloatArray], wanted: FloatArray) -> Iterator[
     """Yield the best triangular function of each shape."""
     knots = _KNOTS[np.array(list(combinations(range(len(_KNOTS)), 3)))].T
     low, peak, high = knots
-    parameters = np.full(knots.shape, 3.0)  # of a knot: 0 at the ends, more the less round it is
-    for divisor, cost in ((10, 2.0), (4, 1.0), (2, 0.5), (1, 0.0)):
-        rest = knots * divisor % 1
-        parameters[np.isclose(rest, 0) | np.isclose(rest, 1)] = cost
-    costs = 1 + parameters.sum(axis=0)
+    costs = 1 + _knot_cost(knots).sum(axis=0)
     for name in _candidates(factors, wanted):
         at = factors[name][:, None]
         bent = np.minimum((at - low) / (peak - low), (high - at) / (high - peak))
         scores = _scores(np.maximum(bent, 0.0), wanted, costs)
         row = int(scores[0].argmin())
         yield _Fit((name,), "product", tuple(knots[:, row].tolist()), *scores[:, row].tolist())
+
+
+def _knot_cost(knots: FloatArray) -> FloatArray:
+    """Return the number of parameters of a knot: 0 at the ends, more the less round it is."""
+    costs = np.full(knots.shape, 3.0)
+    for divisor, cost in ((10, 2.0), (4, 1.0), (2, 0.5), (1, 0.0)):
+        costs[np.isclose(knots * divisor % 1, 0) | np.isclose(knots * divisor % 1, 1)] = cost
+    return costs
 
 
 def _products(factors: dict[str, FloatArray], wanted: FloatArray) -> Iterator[_Fit]:

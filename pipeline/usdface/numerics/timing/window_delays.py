@@ -76,10 +76,7 @@ def fit_robust_line(
         if np.array_equal(within, agreeing):
             break
         agreeing = within
-        middle, level = float(x[agreeing].mean()), float(y[agreeing].mean())
-        along, off = x[agreeing] - middle, y[agreeing] - level
-        slope = float((along * off).sum()) / float((along**2).sum() + (scale / usual_slope) ** 2)
-        intercept = level - slope * middle
+        intercept, slope = _least_squares(x[agreeing], y[agreeing], usual_slope, scale)
         distance = np.abs(y - intercept - slope * x)
     deviation = float(np.sqrt(np.mean(distance[agreeing] ** 2)))
     return RobustLine(intercept, slope, agreeing, deviation)
@@ -110,6 +107,16 @@ def _distances_to_best(
         if support[index] > best:
             best, nearest = float(support[index]), distance[index]
     return nearest
+
+
+def _least_squares(
+    x: FloatArray, y: FloatArray, usual_slope: float, noise: float
+) -> tuple[float, float]:
+    middle, level = float(x.mean()), float(y.mean())
+    slope = float(((x - middle) * (y - level)).sum()) / float(
+        ((x - middle) ** 2).sum() + (noise / usual_slope) ** 2
+    )
+    return level - slope * middle, slope
 
 
 _DELAY_OVERSAMPLING = 4

@@ -52,11 +52,15 @@ def _names(spec: CombineSpec) -> list[str]:
     while min(map(len, stems)) - common > 1 and len({s[-1 - common] for s in stems}) == 1:
         common += 1
     names = given or [".".join(stem[: len(stem) - common]) for stem in stems]
-    # USD accepts letters of all scripts in the name of a variant.
-    names = ["".join(c if c in "|-" or f"a{c}".isidentifier() else "_" for c in n) for n in names]
+    names = ["".join(each if _may_name_variant(each) else "_" for each in name) for name in names]
     if twice := repeated(names):
         raise InputError(f"two performances would be named {min(twice)}; name them with --takes")
     return names
+
+
+def _may_name_variant(letter: str) -> bool:
+    """Whether USD accepts a character in the name of a variant: letters of all scripts."""
+    return letter in "|-" or f"a{letter}".isidentifier()
 
 
 def _check_alike(spec: CombineSpec, readers: Sequence[PerformanceReader]) -> None:
