@@ -962,15 +962,16 @@ def test_a_rig_that_moved_since_is_named(shot: Shot) -> None:
         run(BakeSpec(performance=shot / "shot.hero.usda", out=shot / "x.usdc"))
 
 
-def test_a_take_that_lacks_a_marker_of_the_references_asks_for_another_selection(
+def test_a_take_that_lacks_many_markers_of_the_references_asks_for_another_selection(
     shot: Shot,
 ) -> None:
-    """No frame of it has all markers, so that other frames would be refused as well."""
+    """No frame of it has enough markers, so that other frames would be refused as well."""
     path, clean = shot / "shot.hero.usda", shot / "shot.clean.take.usda"
     take = read_take(clean)
     assert take.markers is not None
     gone = [name not in take.markers.rigid for name in take.markers.names].index(True)
-    kept = np.arange(len(take.markers.names)) != gone
+    kept = np.ones(len(take.markers.names), bool)
+    kept[gone : gone + len(kept) // 8] = False
     markers = replace(
         take.markers,
         names=tuple(np.array(take.markers.names)[kept].tolist()),
@@ -981,7 +982,7 @@ def test_a_take_that_lacks_a_marker_of_the_references_asks_for_another_selection
     write_take(clean, replace(take, markers=markers), provenance=Provenance())
     edit(path, override=0.8, frames="100-102", fade=3)
     given = {"references": shot / "hero.references.usda", "out": shot / "v2.references.usda"}
-    advice = f"has no {take.markers.names[gone]}: `usdface select` from it and their takes"
+    advice = f"has no {take.markers.names[gone]}.*: `usdface select` from it and their takes"
     with pytest.raises(InputError, match=advice):
         run(ReferencesFromEditsSpec(performances=(path,), **given))
     late = str(unpaired(shot, 300))
