@@ -53,9 +53,6 @@ _LEAST_GAIN = 0.005
 _ALIGNMENT_ROUNDS = 3
 """Placements at most, each after the takes are aligned by the last one."""
 
-_LEAST_SEEN = 0.5
-"""[of the frames] In which a marker must be seen to align them."""
-
 
 @dataclass(frozen=True)
 class PlacedTakes:
@@ -136,9 +133,8 @@ class PlacementScene:
         Empty if the takes' rigid markers do not move, as those of a head band, and if the takes'
         motion is not more probable by the rig once they are aligned by the others.
         """
-        names, share_seen = self._takes.marker_names, self._usable.mean(axis=0)
-        columns = [names.index(name) for name in self._takes.rigid]
-        rigid = np.array([marker for marker in columns if share_seen[marker]], np.int64)
+        names = self._takes.marker_names
+        rigid = np.array([names.index(name) for name in self._takes.rigid], np.int64)
         if _motion_mm(self._sample[:, rigid], self._usable[:, rigid]) < _STILL_MM:
             return (), ""
         virtual = virtual_markers(placement, names, self._cloud.neutral)
@@ -146,7 +142,7 @@ class PlacementScene:
         full = range_ends(self._rig.ranges)[:, None, None] * deltas
         expressions = motion_by_rig(virtual, full, self._cloud.neutral, rigid=())
         placed = np.array([name in rows_by_name(placement) for name in names])
-        steady = expressions.steadiest_markers(placed & (share_seen >= _LEAST_SEEN))
+        steady = expressions.steadiest_markers(placed)
         before, after = map(expressions.alignment_error_mm, (rigid, steady))
         if before < _LARGE_ERROR_MM or after > _STEADIER_SHARE * before:
             return (), ""
