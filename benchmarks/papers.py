@@ -24,7 +24,7 @@ from tests.numerics.manifold.small_process import (
     draw_rows,
     small_spectrum,
 )
-from usdface.model.retarget.shape_matching import RIDGE_SHARE, Correspondence, match_positions
+from usdface.model.retarget.face_correspondence import RIDGE_SHARE, Correspondence, match_positions
 from usdface.model.surface.distance import BLEND_PUBLISHED
 from usdface.numerics.manifold.hyper_posterior import SharedTable, energy_of_moments
 from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters

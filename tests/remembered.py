@@ -28,7 +28,7 @@ REMEMBERED = (
     ("usdface.model.mapping.evaluation", "points_by_region"),
     ("usdface.model.mapping.take_neutral", "find_offset"),
     ("usdface.model.regressions.forward_model", "_maximise_evidence"),
-    ("usdface.model.retarget.shape_matching", "align_cloud"),
+    ("usdface.model.retarget.face_correspondence", "align_cloud"),
     ("usdface.model.selection.baseline", "solve_weights"),
     ("usdface.model.surface.binding", "place_markers"),
     ("usdface.numerics.rigid.pose_error:ExpressionMotion", "find_errors"),

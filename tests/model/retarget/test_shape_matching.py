@@ -10,13 +10,8 @@ import pytest
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
-from usdface.model.retarget.shape_matching import (
-    Correspondence,
-    correspond,
-    differing_sides,
-    match_deformations,
-    match_positions,
-)
+from usdface.model.retarget.face_correspondence import Correspondence, correspond, match_positions
+from usdface.model.retarget.shape_matching import differing_sides, match_deformations
 from usdface.usdio.rig.read import read_rig
 
 
@@ -227,7 +222,7 @@ def test_the_same_head_is_not_moved_whatever_its_shapes_tell(faces, monkeypatch)
     numbered = foreign(hero, {name: f"s{index}" for index, name in enumerate(hero.shapes)})
     landmarks = iter(({"lid_upper_L": np.zeros(3)}, {"mouth_middle": np.zeros(3)}))
     monkeypatch.setattr(
-        "usdface.model.retarget.shape_matching.find_landmarks", lambda *_: next(landmarks)
+        "usdface.model.retarget.face_correspondence.find_landmarks", lambda *_: next(landmarks)
     )
     both = correspond(hero, numbered)
     np.testing.assert_allclose(both.source, both.target, atol=1e-3)  # [mm]

@@ -9,7 +9,7 @@ from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress, part, silent
-from usdface.model.retarget.shape_matching import correspond, match_positions
+from usdface.model.retarget.face_correspondence import correspond, match_positions
 from usdface.model.retarget.train import (
     make_examples,
     retarget,

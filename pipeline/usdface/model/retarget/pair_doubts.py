@@ -15,7 +15,7 @@ from usdface.core.controls import Controls, ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.retarget.control_space import LEAST_WEIGHT
-from usdface.model.retarget.shape_matching import correspond, unit_fields
+from usdface.model.retarget.face_correspondence import correspond, unit_fields
 
 _LARGEST_OWN = 0.35
 _LEAST_OTHER = 0.6

@@ -14,8 +14,8 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, controls_path, head_path, weights_path
 from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.model.placement.rig_orientation import describe_orientation
+from usdface.model.retarget.face_correspondence import Correspondence, correspond, match_positions
 from usdface.model.retarget.name_matching import Transfer
-from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
 from usdface.model.retarget.train import (
     limited_controls,
     predict_coordinates,
