@@ -33,7 +33,7 @@ def run(frames: int = 512) -> None:
     fitted = fit_gp_surface(distances, moved, GpOptions(length_scale=40.0))
     table = fitted.table
     rows = np.ascontiguousarray(moved.transpose(0, 2, 1).reshape(-1, moved.shape[1]))
-    samples, modes = sample_hyperparameters(rng, table, rows)
+    samples, acceptance, modes = sample_hyperparameters(rng, table, rows)
     again = sample_hyperparameters(rng, table, rows)[0]
     modes_theta = to_theta(modes.best.mode[:, :3].astype(np.float64), noise_gain(table.spectrum))
     around = fit_laplace(TabulatedEnergy(table, rows[:3]), modes_theta)
@@ -60,7 +60,7 @@ def run(frames: int = 512) -> None:
     )
     cold = 1 / (time.process_time() - start)
     ess_cold = np.median(effective_sample_size(published[:, None]))
-    theta = np.stack([samples.theta, again.theta], axis=1)
+    theta = np.stack([samples, again], axis=1)
     ess = np.median(effective_sample_size(theta[:, :1]))
     squares = (theta[:, :1] - theta.mean(axis=(0, 1))) ** 2
     ess_squared = np.median(effective_sample_size(squares))
@@ -84,7 +84,7 @@ def run(frames: int = 512) -> None:
     print(f"| effective samples, median | {ess:.0f} | ≥ 150 |")
     print(f"| of squares, which spreads are made of | {ess_squared:.0f} | |")
     print(f"| split R-hat, median | {np.median(split_rhat(theta)):.4f} | |")
-    print(f"| acceptance | {samples.acceptance.mean():.2f} | |")
+    print(f"| acceptance | {acceptance.mean():.2f} | |")
     print(f"| posteriors with two modes | {100 * modes.double.mean():.1f} % | |")
     print(
         f"| mean and deviation on {len(points):,} points, frames a CPU second | "

@@ -344,10 +344,13 @@ def _w06() -> Iterator[Row]:
     yield Row("W06 δ ← wδ + (1 − w)γ", "by hand", ours, blend)
     between, blend = measured.blended_between(BLEND_PUBLISHED), ours.astype(float)
     stiff = nearest_stiffness(between)
-    network = fit_distance_multiquadric(between, stiff)
+    inverse = fit_distance_multiquadric(between, stiff)
     by_hand = np.sqrt(blend.T**2 + stiff**2) @ np.linalg.inv(np.sqrt(between**2 + stiff**2))
     yield Row(
-        "W06 multiquadric over δ", "numpy, dense", multiquadric_fields(network, blend), by_hand
+        "W06 multiquadric over δ",
+        "numpy, dense",
+        multiquadric_fields(inverse, stiff, blend),
+        by_hand,
     )
     scale = 20.0
     printed = np.exp(-0.5 * (between / scale) ** 2)
@@ -407,7 +410,7 @@ def _own_dijkstra(mouth: Mouth, *, inside: bool) -> np.ndarray:
 def _sampled(spectrum, rows: np.ndarray, rng: np.random.Generator) -> Row:  # type: ignore[no-untyped-def]
     """Compare posterior means of the hyper-parameters with a random walk over the dense density."""
     many = np.repeat(rows, 100, axis=0)
-    theta = sample_hyperparameters(rng, SharedTable(spectrum), many)[0].theta
+    theta = sample_hyperparameters(rng, SharedTable(spectrum), many)[0]
     ours = theta.reshape(-1, 4, len(rows), 100).mean(axis=(0, 3)).T
     walked = []
     for row in rows:

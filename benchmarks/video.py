@@ -500,7 +500,7 @@ def _eye_turns(shot: _Shot) -> FloatArray:
     for side in (-1, 1):
         eye = np.flatnonzero((head.parts == HeadPart.EYES) & (side * head.points[:, 0] > 0))
         face = ActorFace(head, eye)
-        weights = face.ordered(shot.keys.names, shot.keys.values.astype(np.float64))
+        weights = columns_by_name(shot.keys.values, shot.keys.names, tuple(head.shapes))
         points = np.stack([face.pose(row) for row in weights])
         turn = Rotation.from_matrix(align_rigid(points, head.points[eye]).rotations)
         ahead = turn.apply([0.0, 0.0, 1.0])

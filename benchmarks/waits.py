@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks._process import Cost, measure
 from tests.c3d_write import write_c3d
+from usdface.core.arrays import columns_by_name
 from usdface.core.assets import Rig
 from usdface.demo.acting import performance
 from usdface.demo.capture import ActorFace
@@ -128,7 +129,8 @@ def _prepare(folder: Path) -> None:
     head, acted = make_head(ACTOR), performance()
     front = (head.parts == HeadPart.SKIN) & (head.points[:, 2] > 0)
     face = ActorFace(head, rng.choice(np.flatnonzero(front), DENSE_MARKERS, replace=False))
-    weights = face.ordered(acted.weights.names, acted.weights.values[:DENSE_FRAMES].astype(float))
+    clip = acted.weights
+    weights = columns_by_name(clip.values[:DENSE_FRAMES], clip.names, tuple(head.shapes))
     positions = np.stack([face.pose(row) for row in weights])
     positions += rng.normal(0, 0.15, positions.shape)
     seen = rng.random(positions.shape[:2]) > 0.01

@@ -9,6 +9,7 @@ from usdface.capture.face_gaze import (
     LOOK_SHAPES,
     closed_eyes,
     gaze_angles,
+    look_weights,
 )
 from usdface.capture.face_landmarks import LANDMARKS
 
@@ -30,16 +31,16 @@ def scored_looks(yaw: np.ndarray, pitch: np.ndarray) -> np.ndarray:
 
 def test_looks_come_back_as_angles_and_as_weights() -> None:
     looks = scored_looks(YAW, PITCH)
-    gaze = gaze_angles(looks, OPEN, neutral=3)
-    np.testing.assert_allclose(gaze.yaw, YAW, atol=1e-9)
-    np.testing.assert_allclose(gaze.pitch, PITCH, atol=1e-9)
-    np.testing.assert_allclose(gaze.look_weights(), looks, atol=1e-6)
+    yaw, pitch = gaze_angles(looks, OPEN, neutral=3)
+    np.testing.assert_allclose(yaw, YAW, atol=1e-9)
+    np.testing.assert_allclose(pitch, PITCH, atol=1e-9)
+    np.testing.assert_allclose(look_weights(yaw, pitch), looks, atol=1e-6)
 
 
 def test_eyes_look_straight_ahead_in_the_neutral_frame() -> None:
-    gaze = gaze_angles(scored_looks(YAW + 4, PITCH - 7), OPEN, neutral=3)
-    np.testing.assert_allclose(gaze.yaw, YAW, atol=1e-9)
-    np.testing.assert_allclose(gaze.pitch, PITCH, atol=1e-9)
+    yaw, pitch = gaze_angles(scored_looks(YAW + 4, PITCH - 7), OPEN, neutral=3)
+    np.testing.assert_allclose(yaw, YAW, atol=1e-9)
+    np.testing.assert_allclose(pitch, PITCH, atol=1e-9)
 
 
 def blinking(closing: np.ndarray) -> np.ndarray:
@@ -57,26 +58,26 @@ def test_a_blink_is_no_look_down() -> None:
     assert closed[31:33].all()
     assert closed.any(axis=1).sum() <= 6
     looks = scored_looks(np.zeros(FRAMES), -25 * closing)
-    assert np.abs(gaze_angles(looks, ~closed, neutral=3).pitch).max() < 1e-9
-    assert gaze_angles(looks, OPEN, neutral=3).pitch.min() == pytest.approx(-25)
+    assert np.abs(gaze_angles(looks, ~closed, neutral=3)[1]).max() < 1e-9
+    assert gaze_angles(looks, OPEN, neutral=3)[1].min() == pytest.approx(-25)
 
 
 def test_of_a_wink_the_open_eye_says_where_both_look() -> None:
     looks, winking = scored_looks(YAW, PITCH), OPEN.copy()
     winking[20:40, 0] = False
     looks[20:40, :4] = 0.7
-    gaze = gaze_angles(looks, winking, neutral=3)
-    np.testing.assert_allclose(gaze.yaw, YAW, atol=1e-9)
-    np.testing.assert_allclose(gaze.pitch, PITCH, atol=1e-9)
+    yaw, pitch = gaze_angles(looks, winking, neutral=3)
+    np.testing.assert_allclose(yaw, YAW, atol=1e-9)
+    np.testing.assert_allclose(pitch, PITCH, atol=1e-9)
 
 
 def test_both_eyes_get_the_mean_of_both() -> None:
     looks = scored_looks(YAW, PITCH)
     looks[:, 4:] = scored_looks(0 * YAW, PITCH)[:, 4:]
-    np.testing.assert_allclose(gaze_angles(looks, OPEN, neutral=3).yaw, YAW / 2, atol=1e-9)
+    np.testing.assert_allclose(gaze_angles(looks, OPEN, neutral=3)[0], YAW / 2, atol=1e-9)
 
 
 def test_where_no_eye_is_seen_open_both_look_ahead() -> None:
-    gaze = gaze_angles(scored_looks(YAW, PITCH), ~OPEN, neutral=3)
-    assert not gaze.yaw.any()
-    assert not gaze.pitch.any()
+    yaw, pitch = gaze_angles(scored_looks(YAW, PITCH), ~OPEN, neutral=3)
+    assert not yaw.any()
+    assert not pitch.any()

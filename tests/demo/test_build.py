@@ -12,6 +12,7 @@ import pytest
 from usdface.capture.c3d import read_c3d_take
 from usdface.capture.marker_take import CaptureOptions
 from usdface.cli import main
+from usdface.core.arrays import columns_by_name
 from usdface.core.assets import WeightsClip
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.build import (
@@ -24,7 +25,7 @@ from usdface.demo.build import (
     weights_on_video,
     write_demo_inputs,
 )
-from usdface.demo.capture import ActorFace, head_poses
+from usdface.demo.capture import head_poses
 from usdface.demo.head import DemoHead
 from usdface.demo.rig import rig_from_head
 from usdface.demo.script import timed_phones
@@ -46,9 +47,8 @@ def test_the_rig_survives_usd(character: DemoHead, tmp_path: Path) -> None:
 
 def test_the_camera_sees_a_face_that_moves(actor: DemoHead, acted: ActedPerformance) -> None:
     studio = Studio(actor)
-    weights = ActorFace(actor, np.zeros(1, np.int64)).ordered(
-        acted.weights.names, acted.weights.values[[30, 1020]].astype(float)
-    )
+    clip = acted.weights
+    weights = columns_by_name(clip.values[[30, 1020]], clip.names, tuple(actor.shapes))
     poses = head_poses(acted)[[30, 1020]]
     posed = [studio.pose(pose, row) for pose, row in zip(poses, weights, strict=True)]
     rest, angry = film(studio.meshes, posed)

@@ -34,17 +34,6 @@ _EVENT_MARK = 12345
 
 
 @dataclass(frozen=True)
-class C3dPoints:
-    """Point samples of a range of frames, in the units and axes of the file."""
-
-    positions: Float32Array
-    """(frames, points, 3): as stored, also where a point is occluded."""
-    residuals: Float32Array
-    """(frames, points): reconstruction residual in the file's units; negative where the point is
-    occluded, NaN where the stored number is not a residual."""
-
-
-@dataclass(frozen=True)
 class C3dFile:
     """An opened C3D file: its parameters are read, its samples on demand."""
 
@@ -65,10 +54,14 @@ class C3dFile:
         """Samples per second of each analog channel; 0 without channels."""
         return self.layout.rate * self.layout.analog_per_frame if self.layout.analog_count else 0.0
 
-    def read_points(self, start: int = 0, stop: int | None = None) -> C3dPoints:
-        """Read the points of frames `start` to `stop` (exclusive), counted from 0.
+    def read_points(
+        self, start: int = 0, stop: int | None = None
+    ) -> tuple[Float32Array, Float32Array]:
+        """Read positions and residuals of frames `start` to `stop` (exclusive), counted from 0.
 
-        `InputError` if the file became shorter since it was opened.
+        In the file's units and axes; (frames, points, 3), as stored also where a point is occluded,
+        and (frames, points), negative where a point is occluded, NaN where the stored number is not
+        a residual. `InputError` if the file became shorter since it was opened.
         """
         layout = self.layout
         items = self._read_items(range(layout.frame_count)[start:stop])
@@ -76,7 +69,7 @@ class C3dFile:
         positions = samples[..., :3].astype(np.float32)
         if layout.scale > 0:
             positions *= np.float32(layout.scale)
-        return C3dPoints(positions, _residuals(samples[..., 3], abs(layout.scale)))
+        return positions, _residuals(samples[..., 3], abs(layout.scale))
 
     def read_analog(self, start: int = 0, stop: int | None = None) -> Float32Array:
         """Read the analog samples of frames `start` to `stop` (exclusive), in physical units.
@@ -235,13 +228,13 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     visible = np.empty((file.frame_count, len(columns)), bool)
     odd = np.empty_like(visible)
     for rows in frame_blocks(file.frame_count, frames=_CHUNK_FRAMES):
-        points = file.read_points(rows.start, rows.stop)
+        points, residuals = file.read_points(rows.start, rows.stop)
         with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
             # one long product: a small one for each frame takes several times as long
-            turned = points.positions[:, columns].reshape(-1, 3) @ rotation.T
+            turned = points[:, columns].reshape(-1, 3) @ rotation.T
             positions[rows] = turned.reshape(-1, len(columns), 3)
-        visible[rows] = points.residuals[:, columns] >= 0
-        odd[rows] = np.isnan(points.residuals[:, columns])
+        visible[rows] = residuals[:, columns] >= 0
+        odd[rows] = np.isnan(residuals[:, columns])
     if odd.any() and not visible.any():
         # Some programs store no residual in any sample.
         visible = odd

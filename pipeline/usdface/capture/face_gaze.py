@@ -12,8 +12,6 @@ Soukupová and Čech (2016), Real-time eye blink detection using facial landmark
 width.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from usdface.capture.face_landmarks import LANDMARKS
@@ -25,7 +23,7 @@ Brain Research 126: 20 to 35)."""
 LOOK_SHAPES = tuple(
     f"eyeLook{way}{side}" for side in ("Right", "Left") for way in ("In", "Out", "Up", "Down")
 )
-"""ARKit's names, in the order of `GazeAngles.look_weights`."""
+"""ARKit's names, in the order of `look_weights`."""
 
 _CLOSED_SHARE = 0.4
 """Share of the median aperture below which the lid covers the iris; looks down leave over half."""
@@ -44,21 +42,11 @@ def _eye(side: str) -> dict[str, IntArray]:
 _EYES = (_eye("R"), _eye("L"))
 
 
-@dataclass(frozen=True)
-class GazeAngles:
-    """Direction of both eyes relative to the neutral frame."""
-
-    yaw: FloatArray
-    """(frames,): to the performer's left [degrees]"""
-    pitch: FloatArray
-    """(frames,): upwards [degrees]"""
-
-    def look_weights(self) -> Float32Array:
-        """Return weights of `LOOK_SHAPES`: (frames, 8), 1 at `FULL_LOOK_DEGREES`."""
-        left, up = self.yaw, self.pitch
-        # the right eye's nose is to its left
-        ways = np.stack([left, -left, up, -up, -left, left, up, -up], axis=1) / FULL_LOOK_DEGREES
-        return np.clip(ways, 0.0, 1.0).astype(np.float32)
+def look_weights(left: FloatArray, up: FloatArray) -> Float32Array:
+    """Return weights of `LOOK_SHAPES` by `gaze_angles`: (frames, 8), 1 at `FULL_LOOK_DEGREES`."""
+    # the right eye's nose is to its left
+    ways = np.stack([left, -left, up, -up, -left, left, up, -up], axis=1) / FULL_LOOK_DEGREES
+    return np.clip(ways, 0.0, 1.0).astype(np.float32)
 
 
 def closed_eyes(positions: FloatArray | Float32Array, seen: BoolArray) -> BoolArray:
@@ -81,8 +69,12 @@ def closed_eyes(positions: FloatArray | Float32Array, seen: BoolArray) -> BoolAr
     return closed
 
 
-def gaze_angles(looks: FloatArray | Float32Array, usable: BoolArray, neutral: int) -> GazeAngles:
-    """Return the gaze direction.
+def gaze_angles(
+    looks: FloatArray | Float32Array, usable: BoolArray, neutral: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the gaze of both eyes to the performer's left and upwards: (frames,) each [degrees].
+
+    Relative to the neutral frame.
 
     Parameters
     ----------
@@ -97,7 +89,7 @@ def gaze_angles(looks: FloatArray | Float32Array, usable: BoolArray, neutral: in
     known = usable.sum(axis=1)
     at = np.flatnonzero(known)
     if not len(at):
-        return GazeAngles(np.zeros(len(frames)), np.zeros(len(frames)))
+        return np.zeros(len(frames)), np.zeros(len(frames))
     ways = looks.reshape(-1, 2, 4).astype(np.float64) * FULL_LOOK_DEGREES
     inwards, upwards = ways[..., 0] - ways[..., 1], ways[..., 2] - ways[..., 3]
     near = np.abs(frames - neutral) <= _NEUTRAL_REACH
@@ -107,4 +99,4 @@ def gaze_angles(looks: FloatArray | Float32Array, usable: BoolArray, neutral: in
         for axis, angle in enumerate((left, up) if seen.any() else ()):
             angles[axis] += np.where(seen, angle - angle[rest].mean(), 0.0)
     yaw, pitch = (np.interp(frames, at, angle[at] / known[at]) for angle in angles)
-    return GazeAngles(yaw, pitch)
+    return yaw, pitch

@@ -78,7 +78,7 @@ class Studio:
     def pose(self, pose: FloatArray, weights: FloatArray) -> Float32Array:
         """Return the meshes' points in the room [mm].
 
-        `pose`: of the head, (4, 4); `weights` are in `ActorFace`'s order.
+        `pose`: of the head, (4, 4); `weights`: in the order of the shapes.
         """
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
         return np.asarray(points, np.float32)
@@ -150,9 +150,7 @@ def write_clip(
     take_time = np.arange(count) / float(VIDEO_RATE) + OFFSET_SECONDS
     frames = np.clip(np.round(take_time * rate), 0, len(acted.weights.values) - 1).astype(int)
     frames, counts = np.unique(frames, return_counts=True)  # the ends are still
-    ordered = ActorFace(head, np.zeros(1, np.int64)).ordered(
-        acted.weights.names, acted.weights.values[frames].astype(np.float64)
-    )
+    weights = columns_by_name(acted.weights.values[frames], acted.weights.names, tuple(head.shapes))
     poses = head_poses(acted)[frames]
     lead = np.zeros(round(-OFFSET_SECONDS * SAMPLE_RATE), np.float32)
     voice = speak(SAMPLE_RATE)
@@ -160,7 +158,7 @@ def write_clip(
     room = np.random.default_rng(7).standard_normal(len(lead) + len(voice) + len(tail))
     sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
     studio = Studio(head)
-    posed = [studio.pose(pose, row) for pose, row in zip(poses, ordered, strict=True)]
+    posed = [studio.pose(pose, row) for pose, row in zip(poses, weights, strict=True)]
     pictures = _drawn(studio.meshes, posed, (size, camera), give_work, progress)
     write_movie(
         path,

@@ -15,6 +15,7 @@ from usdface.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
+    columns_by_name,
     row_lengths,
     smoothstep,
 )
@@ -213,12 +214,10 @@ class SimulatedCapture:
 class ActorFace:
     """The actor's face at some of its points, with the actor's deviations from the shapes."""
 
-    def __init__(self, head: DemoHead, points: IntArray | None = None) -> None:
-        which = np.arange(len(head.points)) if points is None else points
+    def __init__(self, head: DemoHead, which: IntArray) -> None:
         rng = np.random.default_rng(2006)
         names = list(head.shapes)
         self._rest = head.points[which]
-        self._names = names
         self._keys = [tuple((w, offsets[which]) for w, offsets in head.shapes[n]) for n in names]
         self._gain = rng.uniform(0.86, 1.14, len(names))
         self._bend = rng.uniform(-0.16, 0.16, len(names))
@@ -242,13 +241,6 @@ class ActorFace:
         length = row_lengths(moved) / _SKIN_LIMIT
         moved *= np.where(length > 1e-6, np.tanh(length) / np.maximum(length, 1e-6), 1.0)
         return self._rest + moved
-
-    def ordered(self, names: tuple[str, ...], values: FloatArray) -> FloatArray:
-        """Return (frames, channels) weights in the order of `pose`."""
-        full = np.zeros((len(values), len(self._names)))
-        for column, name in enumerate(names):
-            full[:, self._names.index(name)] = values[:, column]
-        return full
 
 
 def _may_follow(name: str, other: str) -> bool:
@@ -275,7 +267,7 @@ def simulate_capture(
     """Simulate the capture of a performance with noise, gaps and swapped labels."""
     rng = np.random.default_rng(102)
     face = ActorFace(head, markers.points)
-    weights = face.ordered(acted.weights.names, acted.weights.values.astype(np.float64))
+    weights = columns_by_name(acted.weights.values, acted.weights.names, tuple(head.shapes))
     lifted = MARKER_RADIUS * _normals(head)[markers.points]
     still = np.stack([face.pose(row) for row in weights]) + lifted
     poses = head_poses(acted)

@@ -16,11 +16,14 @@ def test_multiquadrics_meet_every_marker_and_agree_with_scipy() -> None:
     rng = np.random.default_rng(0)
     places, points = rng.standard_normal((15, 3)), rng.standard_normal((40, 3))
     moved = rng.standard_normal((15, 2))
-    model = fit_distance_multiquadric(cdist(places, places), np.full(15, 0.7))
-    ours = multiquadric_fields(model, cdist(places, points)) @ moved
+    stiffness = np.full(15, 0.7)
+    inverse = fit_distance_multiquadric(cdist(places, places), stiffness)
+    ours = multiquadric_fields(inverse, stiffness, cdist(places, points)) @ moved
     theirs = RBFInterpolator(places, moved, kernel="multiquadric", epsilon=1 / 0.7, degree=-1)
     assert np.allclose(ours, theirs(points), atol=1e-3)
-    assert np.allclose(multiquadric_fields(model, cdist(places, places)) @ moved, moved, atol=1e-3)
+    assert np.allclose(
+        multiquadric_fields(inverse, stiffness, cdist(places, places)) @ moved, moved, atol=1e-3
+    )
 
 
 def test_two_markers_at_one_place_are_named() -> None:

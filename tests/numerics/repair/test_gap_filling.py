@@ -23,7 +23,7 @@ def test_a_cubic_track_is_recovered_exactly():
     t = np.arange(60.0)
     truth = np.stack([t**3 / 900, 5 - t**2 / 30, 2 * t], 1)[:, None]
     visible = hidden(truth.shape, 30, 35, 0)
-    points, record = fill_gaps(
+    points, found, _ = fill_gaps(
         np.where(visible[..., None], truth, 0),
         visible,
         max_gap=10,
@@ -31,7 +31,7 @@ def test_a_cubic_track_is_recovered_exactly():
         spline_limit=5,
     )
     np.testing.assert_allclose(points, truth, atol=1e-9)
-    assert record.filled.sum() == 5
+    assert found.sum() == 5
 
 
 def test_a_gap_is_filled_up_to_the_limit_and_never_past_it():
@@ -40,28 +40,28 @@ def test_a_gap_is_filled_up_to_the_limit_and_never_past_it():
     def filled_up_to(max_gap):
         return fill_gaps(points, visible, max_gap=max_gap, prediction=points + 1.0, spline_limit=8)
 
-    allowed = filled_up_to(20)[1]
-    assert allowed.filled.sum() == 20
-    assert (allowed.confidence[allowed.filled] < 1).all()
-    left = filled_up_to(19)[1]
-    assert not left.filled.any()
-    assert (left.confidence[100:120, 1] == 0).all()
+    _, filled, confidence = filled_up_to(20)
+    assert filled.sum() == 20
+    assert (confidence[filled] < 1).all()
+    _, filled, confidence = filled_up_to(19)
+    assert not filled.any()
+    assert (confidence[100:120, 1] == 0).all()
 
 
 @pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
 def test_confidence_is_what_a_face_remembers_of_the_nearest_sample(rate):
     visible = hidden((400, 3), 100, 120)
-    _, fill = fill_gaps(
+    _, _, confidence = fill_gaps(
         tracks(), visible, max_gap=20, prediction=tracks() + 1, spline_limit=8, rate=rate
     )
     away = np.minimum(np.arange(1, 21), np.arange(20, 0, -1)) / rate
     expected = np.maximum(np.exp(-((away / 0.15) ** 2)), 0.01)
-    np.testing.assert_allclose(fill.confidence[100:120, 1], expected, rtol=1e-6)
+    np.testing.assert_allclose(confidence[100:120, 1], expected, rtol=1e-6)
 
 
 def test_a_prediction_that_is_off_by_a_constant_is_corrected_from_both_ends():
     points, visible = tracks(), hidden((400, 3), 100, 200)
-    filled, _ = fill_gaps(
+    filled, _, _ = fill_gaps(
         np.where(visible[..., None], points, 0),
         visible,
         max_gap=200,
@@ -75,16 +75,20 @@ def test_a_gap_with_too_few_other_markers_is_filled_along_the_curve():
     points = tracks()
     visible = np.ones((400, 3), bool)
     visible[100:110] = False
-    filled, record = fill_gaps(points, visible, max_gap=200, prediction=points + 5, spline_limit=4)
-    assert record.filled[100:110].all()
+    filled, found, _ = fill_gaps(
+        points, visible, max_gap=200, prediction=points + 5, spline_limit=4
+    )
+    assert found[100:110].all()
     assert np.abs(filled - points).max() < 0.5
 
 
 def test_seen_samples_are_never_touched():
     points, visible = tracks(noise=1), np.random.default_rng(1).random((400, 3)) > 0.2
-    filled, record = fill_gaps(points, visible, max_gap=50, prediction=points + 1, spline_limit=8)
+    filled, _, confidence = fill_gaps(
+        points, visible, max_gap=50, prediction=points + 1, spline_limit=8
+    )
     np.testing.assert_array_equal(filled[visible], points[visible])
-    assert (record.confidence[visible] == 1).all()
+    assert (confidence[visible] == 1).all()
 
 
 def test_the_spline_reaches_farther_the_worse_the_prediction():

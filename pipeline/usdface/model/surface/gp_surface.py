@@ -1,7 +1,7 @@
 """Gaussian process over a surface (W06): displacements of a mesh from noisy markers."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -154,10 +154,9 @@ class GpSurface(SurfaceModel):
         # The same random numbers for all frames: sampling errors of neighbouring frames are equal.
         rng = CommonRandomNumbers(np.random.default_rng(0))
         rows = _rows_of_axes(moved)
-        samples, _ = sample_hyperparameters(
+        theta, _, _ = sample_hyperparameters(
             rng, self.table, rows, burn=self.options.burn_in, keep=self.options.samples
         )
-        theta = samples.theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
     def _fields(self, moved: FloatArray, measured: BoolArray, theta: FloatArray) -> SurfaceMotion:
@@ -214,15 +213,14 @@ def fit_gp_surface(
         folds.apply(places, distances.scaled(distances.marker_positions))
     theta, facts = _sample_fitted(rng, table, rows, options)
     thin = max(1, len(theta) // _CALIBRATION_SAMPLES)
-    left_out = leave_markers_out(chosen.spectrum, rows, theta[::thin], with_nearest=True)
+    errors, expected = leave_markers_out(chosen.spectrum, rows, theta[::thin], with_nearest=True)
     typical = theta.mean(axis=(0, 2))
     precision = marker_precisions(chosen.spectrum, typical[None])[0]
     if options.sampler == "shared":
         all_measured = np.ones(frames.shape[:2], np.bool_)
         of_frames = frame_factors(frames, precision, all_measured)
-        expected = left_out.expected * np.repeat(of_frames, 3)[:, None]
-        left_out = replace(left_out, expected=expected)
-    factors = calibrate_spread(left_out, covariance.matrix(), cross)
+        expected = expected * np.repeat(of_frames, 3)[:, None]
+    factors = calibrate_spread(errors, expected, covariance.matrix(), cross)
     return GpSurface(
         blend=chosen.blend,
         length_scale=chosen.length_scale,
@@ -282,7 +280,7 @@ def _choose_settings(
             covariance = fit_covariance(between, length_scale=scale, shape=options.covariance)
             spectrum = decompose(covariance.matrix(), places, options.prior)
             mode = fit_shared_mode(SharedTable(spectrum), rows).mode.astype(np.float64)
-            errors = leave_markers_out(spectrum, rows, mode[None]).errors
+            errors, _ = leave_markers_out(spectrum, rows, mode[None])
             rms = float(np.sqrt((errors**2).mean()))
             tried.append(_Settings(blend, scale, covariance, spectrum, rms))
     return min(tried, key=lambda each: each.left_out_rms_mm)
@@ -300,11 +298,11 @@ def _sample_fitted(
             "rhat": shared.rhat,
         }
     burn, keep = options.burn_in, options.samples
-    first, modes = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep)
-    second, _ = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep, modes=modes)
-    both = np.stack([first.theta, second.theta], axis=1)
-    return first.theta, {
-        "acceptance": float(np.mean(first.acceptance)),
+    first, acceptance, modes = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep)
+    second, _, _ = sample_hyperparameters(rng, table, rows, burn=burn, keep=keep, modes=modes)
+    both = np.stack([first, second], axis=1)
+    return first, {
+        "acceptance": float(np.mean(acceptance)),
         "effective_samples": float(np.median(effective_sample_size(both))) / 2,
         "rhat": float(np.median(split_rhat(both))),
         "two_modes": float(np.mean(modes.double)),

@@ -19,7 +19,6 @@ from usdface.model.surface.fit import (
     fitted_frames,
 )
 from usdface.numerics.manifold.surface_fields import (
-    DistanceMultiquadric,
     fit_distance_multiquadric,
     multiquadric_fields,
     nearest_stiffness,
@@ -63,18 +62,19 @@ def fit_rbf_surface(
     """
     frames = fitted_frames(check_fit(distances, displacements, blend))
     columns = frames.transpose(1, 0, 2).reshape(frames.shape[1], -1)
-    tried: list[tuple[float, float, DistanceMultiquadric]] = []
+    tried: list[tuple[float, float, FloatArray, FloatArray]] = []
     for share in BLENDS_TRIED if blend is None else (blend,):
         between = distances.blended_between(share)
         try:
-            network = fit_distance_multiquadric(between, nearest_stiffness(between))
+            stiffness = nearest_stiffness(between)
+            inverse = fit_distance_multiquadric(between, stiffness)
         except ValueError as error:
             raise InputError(str(error)) from error
         # Leave-one-out errors in closed form: Rippa (1999).
-        errors = (network.inverse @ columns) / np.diag(network.inverse)[:, None]
-        tried.append((float(np.sqrt((errors**2).mean())), share, network))
-    rms, share, network = min(tried, key=lambda each: each[0])
-    operator = multiquadric_fields(network, distances.blended_to_points(share))
+        errors = (inverse @ columns) / np.diag(inverse)[:, None]
+        tried.append((float(np.sqrt((errors**2).mean())), share, inverse, stiffness))
+    rms, share, inverse, stiffness = min(tried, key=lambda each: each[0])
+    operator = multiquadric_fields(inverse, stiffness, distances.blended_to_points(share))
     if folds and share > 0:
         find_surface_folds(distances).apply(operator, np.eye(len(columns)))
     return RbfSurface(
@@ -83,6 +83,6 @@ def fit_rbf_surface(
         diagnostics=SurfaceDiagnostics(rms),
         marker_count=len(columns),
         point_count=len(operator),
-        precision=network.inverse,
+        precision=inverse,
         operator=operator,
     )

@@ -43,16 +43,6 @@ class ChainState:
     """(4, chains): gradient of the energy minus that of the Gaussian."""
 
 
-@dataclass(frozen=True)
-class ChainSamples:
-    """The samples after the burn-in."""
-
-    theta: FloatArray
-    """(samples, 4, chains): in the coordinates that the energy takes."""
-    acceptance: FloatArray
-    """(chains,): mean probability of acceptance after the burn-in."""
-
-
 class CommonRandomNumbers:
     """A generator whose numbers are the same for all chains, which are the last axis."""
 
@@ -131,8 +121,11 @@ def sample_chains(
     burn: int = 40,
     keep: int = 200,
     jumps: ModeJumps | None = None,
-) -> ChainSamples:
+) -> tuple[FloatArray, FloatArray]:
     """Run chains from a draw of their Laplace fit.
+
+    Returns (samples, 4, chains) samples after the burn-in, in the coordinates that the energy
+    takes, and their (chains,) mean probability of acceptance.
 
     Parameters
     ----------
@@ -163,7 +156,7 @@ def sample_chains(
         weight = m**-0.75
         averaged = weight * log_angle + (1.0 - weight) * averaged
         angle = np.exp(averaged if index == burn - 1 else log_angle)
-    return ChainSamples(np.stack(samples, dtype=np.float64), accepted.astype(np.float64) / keep)
+    return np.stack(samples, dtype=np.float64), accepted.astype(np.float64) / keep
 
 
 def split_rhat(samples: FloatArray) -> FloatArray:

@@ -6,7 +6,6 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 from usdface.numerics.manifold.hybrid_monte_carlo import (
-    ChainSamples,
     ModeJumps,
     RandomSource,
     effective_sample_size,
@@ -83,10 +82,10 @@ def sample_hyperparameters(
     burn: int = 40,
     keep: int = 200,
     modes: Modes | None = None,
-) -> tuple[ChainSamples, Modes]:
+) -> tuple[FloatArray, FloatArray, Modes]:
     """Sample every chain's posterior in single precision: W06, eq. 3 and "200 sampled values".
 
-    Samples are ``log(v0, v1, a0, a1)``.
+    Returns samples of ``log(v0, v1, a0, a1)`` and acceptance, see `sample_chains`, and the modes.
 
     Parameters
     ----------
@@ -109,12 +108,11 @@ def sample_hyperparameters(
             double, PhiEnergy(of_double, gain), (found.best.take(double), found.second.take(double))
         )
     with np.errstate(all="ignore"):  # a proposal that overflows is rejected
-        samples = sample_chains(
+        phi, acceptance = sample_chains(
             rng, PhiEnergy(energy, gain), found.best, burn=burn, keep=keep, jumps=jumps
         )
-    phi = np.moveaxis(samples.theta, 1, 0)
-    theta = np.moveaxis(np.asarray(to_theta(phi, gain), np.float64), 0, 1)
-    return ChainSamples(theta, samples.acceptance), found
+    theta = np.asarray(to_theta(np.moveaxis(phi, 1, 0), gain), np.float64)
+    return np.moveaxis(theta, 0, 1), acceptance, found
 
 
 def _distance(of: LaplaceFit, to: LaplaceFit) -> RealArray:
@@ -201,11 +199,13 @@ def sample_shared(
     energy = PooledEnergy(table, displacements, chains=_SHARED_CHAINS)
     start = fit.take(np.zeros(_SHARED_CHAINS, np.int64))
     with np.errstate(all="ignore"):
-        samples = sample_chains(rng, energy, start, burn=burn, keep=-(-keep // _SHARED_CHAINS))
-    each = np.moveaxis(samples.theta, 1, 2)
+        theta, acceptance = sample_chains(
+            rng, energy, start, burn=burn, keep=-(-keep // _SHARED_CHAINS)
+        )
+    each = np.moveaxis(theta, 1, 2)
     return SharedSamples(
         each.reshape(-1, 4)[:keep],
-        float(samples.acceptance.mean()),
+        float(acceptance.mean()),
         float(np.median(effective_sample_size(each))),
         float(np.median(split_rhat(each))),
     )

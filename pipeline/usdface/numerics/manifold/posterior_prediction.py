@@ -192,16 +192,6 @@ def predict_variance(basis: Float32Array, moments: DualMoments) -> Float32Array:
 
 
 @dataclass(frozen=True)
-class LeaveOneOut:
-    """Predictions of markers that were left out of the fit, one after the other."""
-
-    errors: FloatArray
-    """(chains, N): measured minus predicted [mm]."""
-    expected: FloatArray
-    """(chains, N): standard deviation of the prediction, the marker's noise included [mm]."""
-
-
-@dataclass(frozen=True)
 class SpreadFactors:
     """Factors of standard deviations, by which 95 % intervals contain 95 %."""
 
@@ -217,8 +207,11 @@ def leave_markers_out(
     theta: FloatArray,
     *,
     with_nearest: bool = False,
-) -> LeaveOneOut:
+) -> tuple[FloatArray, FloatArray]:
     """Predict every marker from the others, in closed form (Rasmussen and Williams, eq. 5.12).
+
+    Returns (chains, N) errors, measured minus predicted, and standard deviations of the prediction,
+    the marker's noise included [mm].
 
     Parameters
     ----------
@@ -248,7 +241,7 @@ def leave_markers_out(
             variance = of_nearest / determinant
         errors[rows] = error.mean(axis=0)
         squares[rows] = variance.mean(axis=0) + error.var(axis=0)
-    return LeaveOneOut(errors, np.sqrt(squares))
+    return errors, np.sqrt(squares)
 
 
 def marker_precisions(spectrum: MarkerSpectrum, theta: FloatArray) -> FloatArray:
@@ -289,24 +282,24 @@ def frame_factors(
 
 
 def calibrate_spread(
-    left_out: LeaveOneOut, covariance: FloatArray, cross: Float32Array
+    errors: FloatArray, expected: FloatArray, covariance: FloatArray, cross: Float32Array
 ) -> SpreadFactors:
     """Return factors of standard deviations for points and axes.
 
-    With ``z = error / expected`` of left-out markers, a point's factor is the root of the mean z^2
+    With ``z = errors / expected`` of left-out markers, a point's factor is the root of the mean z^2
     of the markers weighted by their squared covariance with it. One more factor for each axis
     calibrates the 95 % interval of the left-out values.
 
     Parameters
     ----------
-    left_out : LeaveOneOut
-        Chains go x, y, z, frame by frame.
+    errors, expected : (chains, N) float arrays
+        See `leave_markers_out`; chains go x, y, z, frame by frame.
     covariance : (N, N) float array
         Between markers, 1 on its diagonal.
     cross : (points, N) float32 array
         Covariance of points with markers.
     """
-    z = (left_out.errors / left_out.expected).reshape(-1, 3, left_out.errors.shape[1])
+    z = (errors / expected).reshape(-1, 3, errors.shape[1])
     size = np.sqrt((z**2).mean(axis=(0, 2), keepdims=True))
     squares = ((z / np.maximum(size, _LEAST_FACTOR)) ** 2).mean(axis=(0, 1))
     weights = np.maximum(covariance, 0.0) ** 2

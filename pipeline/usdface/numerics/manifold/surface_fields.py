@@ -132,16 +132,6 @@ _LEAST_CONDITION = 1e-12
 """Least ratio of the smallest to the largest singular value of distinct markers."""
 
 
-@dataclass(frozen=True)
-class DistanceMultiquadric:
-    """A fitted network as a linear operator from displacements of markers to weights of centres."""
-
-    stiffness: FloatArray
-    """(markers,): s_i [mm]; the paper's sigma_i."""
-    inverse: FloatArray
-    """(markers, markers): weights are ``inverse @ displacements``."""
-
-
 def nearest_stiffness(between: FloatArray) -> FloatArray:
     """Return `STIFFNESS_SHARE` of each marker's distance to the nearest other place [mm]."""
     nearest = nearest_distances(between)
@@ -150,8 +140,11 @@ def nearest_stiffness(between: FloatArray) -> FloatArray:
     return STIFFNESS_SHARE * nearest
 
 
-def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> DistanceMultiquadric:
-    """Fit the network that interpolates the markers, with `stiffness` s_i (markers,) [mm]."""
+def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> FloatArray:
+    """Return the network that interpolates the markers, with `stiffness` s_i (markers,) [mm].
+
+    A (markers, markers) map from displacements of markers to weights of centres.
+    """
     left, singular, right = np.linalg.svd(_values(between, stiffness))
     if singular[-1] < _LEAST_CONDITION * singular[0]:
         others = np.where(np.eye(len(between), dtype=np.bool_), np.inf, between)
@@ -161,22 +154,26 @@ def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> Dis
             "leave one out"
         )
     gain = 1.0 / singular
-    return DistanceMultiquadric(stiffness, (right.T * gain) @ left.T)
+    return np.asarray((right.T * gain) @ left.T)
 
 
-def multiquadric_fields(model: DistanceMultiquadric, distances: RealArray) -> Float32Array:
+def multiquadric_fields(
+    inverse: FloatArray, stiffness: FloatArray, distances: RealArray
+) -> Float32Array:
     """Return the linear map from displacements of markers to those of points.
 
     Returns (points, markers); displacements of points are ``fields @ displacements``.
 
     Parameters
     ----------
+    inverse, stiffness
+        See `fit_distance_multiquadric`.
     distances : (markers, points) float array
         [mm]
     """
     out = np.empty((distances.shape[1], len(distances)), np.float32)
     for part in frame_blocks(len(out), frames=_BLOCK_POINTS):
-        out[part] = _values(distances[:, part], model.stiffness) @ model.inverse
+        out[part] = _values(distances[:, part], stiffness) @ inverse
     return out
 
 

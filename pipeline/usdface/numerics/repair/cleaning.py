@@ -159,24 +159,26 @@ def clean_markers(
     progress(0.7, "gaps")
     model = fit_low_rank(take.positions, good, rank_limit=rank, start=model, noise=noise)
     sigma = float(np.median(noise))
-    gaps = complete_take(take.positions, good, model=model, max_gap=max_gap, noise=sigma, rate=rate)
+    filled, confidence = complete_take(
+        take.positions, good, model=model, max_gap=max_gap, noise=sigma, rate=rate
+    )
     for swap in swaps:
         relabelled = [swap.first, swap.second]
-        gaps.confidence[swap.start : swap.stop, relabelled] *= _RELABELLED_CONFIDENCE
+        confidence[swap.start : swap.stop, relabelled] *= _RELABELLED_CONFIDENCE
     if smooth:
         progress(0.8, "noise")
         smooth_take(take.positions, model, noise=noise)
-    known = good | gaps.filled
+    known = good | filled
     progress(1.0, "clean")
     return CleanedMarkers(
         positions=take.positions,
         visible=known,
-        confidence=gaps.confidence * take.pose_confidence[:, None].astype(np.float32),
+        confidence=confidence * take.pose_confidence[:, None].astype(np.float32),
         head_motion=take.head_motion,
         swaps=swaps,
         outliers=outliers,
         lost=lost,
-        filled=gaps.filled,
+        filled=filled,
         pose_confidence=take.pose_confidence,
         noise_mm=sigma,
         slips=slips,

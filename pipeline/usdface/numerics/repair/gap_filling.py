@@ -6,7 +6,6 @@ from one end to the other. The length up to which splines are better depends on 
 and the face; it is chosen by cross-validation with hidden samples.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -56,17 +55,6 @@ _TRIAL_FRAMES = 20_000
 """[frames] From the middle of a take, for `choose_spline_limit`."""
 
 
-@dataclass(frozen=True)
-class GapFill:
-    """Record of filled samples."""
-
-    filled: BoolArray
-    """(frames, markers)"""
-    confidence: Float32Array
-    """(frames, markers) [0-1] 1 where visible, 0 where not filled, else the share of the variance
-    of the marker's motion that the nearest visible sample explains; see `_CORRELATION_SECONDS`."""
-
-
 def complete_take(
     positions: RealArray,
     good: BoolArray,
@@ -75,11 +63,11 @@ def complete_take(
     max_gap: int,
     noise: float,
     rate: float = USUAL_RATE,
-) -> GapFill:
-    """Fill all samples that are not good, in place.
+) -> tuple[BoolArray, Float32Array]:
+    """Fill all samples that are not good, in place; return those filled, and confidence.
 
     Gaps of at most `max_gap` frames by `fill_gaps`; longer ones by the model's prediction, so that
-    whole frames can be smoothed.
+    whole frames can be smoothed. See `fill_gaps` for the confidence.
 
     Parameters
     ----------
@@ -99,7 +87,7 @@ def complete_take(
     filled = np.zeros_like(good)
     confidence = good.astype(np.float32)
     if good.all():
-        return GapFill(filled, confidence)
+        return filled, confidence
     middle = max(0, (count - _TRIAL_FRAMES) // 2)
     trial = slice(middle, middle + _TRIAL_FRAMES)
     points, ok = positions[trial], good[trial]
@@ -113,7 +101,7 @@ def complete_take(
         around = extend_block(block, max_gap + _GAP_REACH, count)
         points, ok = positions[around], good[around]
         complete, prediction = fill_and_predict(model, points, ok)
-        values, gaps = fill_gaps(
+        values, in_gap, trust = fill_gaps(
             points,
             ok,
             max_gap=max_gap,
@@ -125,13 +113,13 @@ def complete_take(
             rate=rate,
         )
         inner = slice(block.start - around.start, block.stop - around.start)
-        filled[block], confidence[block] = gaps.filled[inner], gaps.confidence[inner]
+        filled[block], confidence[block] = in_gap[inner], trust[inner]
         repaired = np.where(filled[block][..., None], values[inner], complete[inner])
         missing = ~good[block]
         positions[block][missing] = repaired[missing]
 
     map_threads(fill, frame_blocks(count, frames=_FILL_FRAMES, at_least=max_gap))
-    return GapFill(filled, confidence)
+    return filled, confidence
 
 
 def fill_gaps(
@@ -145,8 +133,12 @@ def fill_gaps(
     open_start: bool = False,
     open_stop: bool = False,
     rate: float = USUAL_RATE,
-) -> tuple[RealArray, GapFill]:
+) -> tuple[RealArray, BoolArray, Float32Array]:
     """Return positions with every gap of at most `max_gap` frames filled, and a record.
+
+    The record: which samples were filled, and confidence, both (frames, markers). Confidence is 1
+    where visible, 0 where not filled, else the share of the variance of the marker's motion that
+    the nearest visible sample explains; see `_CORRELATION_SECONDS`.
 
     Parameters
     ----------
@@ -192,7 +184,7 @@ def fill_gaps(
             points[start:stop, marker] = values
             filled[start:stop, marker] = True
             confidence[start:stop, marker] = _gap_confidence(start, stop, len(ok), rate)
-    return points, GapFill(filled, confidence)
+    return points, filled, confidence
 
 
 def choose_spline_limit(

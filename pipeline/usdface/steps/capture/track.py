@@ -13,7 +13,7 @@ import numpy as np
 
 from usdface.capture.camera_calibration import CalibratedCamera, read_calibration
 from usdface.capture.channel_take import gap_ranges
-from usdface.capture.face_gaze import LOOK_SHAPES, gaze_angles
+from usdface.capture.face_gaze import LOOK_SHAPES, gaze_angles, look_weights
 from usdface.capture.face_landmarker import KNOWN_MODELS
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import LASTING_PICTURES, FaceTrack, FaceTracker
@@ -205,8 +205,8 @@ def _with_gaze(
     looks = [names.index(name) for name in LOOK_SHAPES]
     others = [at for at in range(len(names)) if at not in looks]
     usable = view.present[:, None] & ~view.closed
-    gaze = gaze_angles(view.scores[:, looks], usable, neutral)
-    values = np.concatenate([view.scores[:, others], gaze.look_weights()], axis=1)
+    weights = look_weights(*gaze_angles(view.scores[:, looks], usable, neutral))
+    values = np.concatenate([view.scores[:, others], weights], axis=1)
     return (*(names[at] for at in others), *LOOK_SHAPES), values
 
 
