@@ -45,11 +45,6 @@ class C3dFile:
     analog_labels: tuple[str, ...]
 
     @property
-    def frame_count(self) -> int:
-        """Point frames in the file."""
-        return self.layout.frame_count
-
-    @property
     def analog_rate(self) -> float:
         """Samples per second of each analog channel; 0 without channels."""
         return self.layout.rate * self.layout.analog_per_frame if self.layout.analog_count else 0.0
@@ -224,10 +219,10 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     rotation = to_mm.astype(np.float32)
     columns = np.array(labels.columns)
 
-    positions = np.empty((file.frame_count, len(columns), 3), np.float32)
-    visible = np.empty((file.frame_count, len(columns)), bool)
+    positions = np.empty((file.layout.frame_count, len(columns), 3), np.float32)
+    visible = np.empty((file.layout.frame_count, len(columns)), bool)
     odd = np.empty_like(visible)
-    for rows in frame_blocks(file.frame_count, frames=_CHUNK_FRAMES):
+    for rows in frame_blocks(file.layout.frame_count, frames=_CHUNK_FRAMES):
         points, residuals = file.read_points(rows.start, rows.stop)
         with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
             # one long product: a small one for each frame takes several times as long

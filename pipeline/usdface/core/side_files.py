@@ -16,6 +16,9 @@ from typing import IO, Any
 from usdface.core.confinement import check_may_open, confinement_root
 from usdface.core.errors import InputError
 
+STRETCH_FILES = r"\.?[0-9a-f]{16}\..*"
+"""Names of files that an interrupted run resumes from, including temporary ones."""
+
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 """Not to wait for the writer of a pipe."""
@@ -89,6 +92,13 @@ def clear_side_folder(folder: Path, pattern: str, *, keep: frozenset[str] = froz
         raise InputError(f"{folder}: cannot be written to ({error.strerror})") from error
 
 
+def remove_side_folder(folder: Path, pattern: str) -> None:
+    """Remove the files of a folder whose names match, and the folder, unless it holds others."""
+    with contextlib.suppress(OSError):  # does not exist, or holds other files
+        clear_side_folder(folder, pattern)
+        folder.rmdir()
+
+
 @contextlib.contextmanager
 def emptied_side_folder(folder: Path) -> Iterator[Path]:
     """Make a folder, or empty it after a killed process, and remove it after the block."""
@@ -97,9 +107,8 @@ def emptied_side_folder(folder: Path) -> Iterator[Path]:
     try:
         yield folder
     finally:
-        with contextlib.suppress(InputError, OSError):
-            clear_side_folder(folder, ".*")
-            folder.rmdir()
+        with contextlib.suppress(InputError):
+            remove_side_folder(folder, ".*")
 
 
 def _clear(

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.repair.first_fill import first_fill
-from usdface.numerics.repair.fit_low_rank import fit_low_rank
+from usdface.numerics.repair.fit_low_rank import first_fill, fit_low_rank
 from usdface.numerics.repair.low_rank import fill_missing
 
 FRAMES, MARKERS, NOISE_MM = 200, 30, 0.1

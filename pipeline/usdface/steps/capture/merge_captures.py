@@ -159,7 +159,7 @@ def extract_sound(
         if channel is None and capture.analog_rate >= LEAST_RATE:
             chosen = next((name for name in names if SOUND_NAME.search(name)), None)
         if chosen is not None:
-            frames = range(skipped[0], capture.frame_count - skipped[1])
+            frames = range(skipped[0], capture.layout.frame_count - skipped[1])
             _write_wav(out, capture, names.index(chosen), frames, ours=ours)
             rate = capture.analog_rate
             return f"sound extracted from analog channel {chosen} ({rate:g} Hz)"

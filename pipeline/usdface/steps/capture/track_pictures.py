@@ -17,7 +17,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance, hash_text
-from usdface.core.side_files import clear_side_folder, make_side_folder
+from usdface.core.side_files import STRETCH_FILES, make_side_folder, remove_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.media.film.timed_frames import ImageSequence, OpenVideo
 from usdface.specs.capture import TrackSpec
@@ -31,8 +31,6 @@ FIRST_VIDEO_FRAME = 1
 
 _STRETCH_PICTURES = 240
 """Pictures per file of detections: an interrupted run loses a few seconds at most."""
-_STRETCH_FILES = r"\.?[0-9a-f]{16}\..*"
-"""Names of these files, including temporary ones."""
 _ARRAYS = ("pictures", "counts", "landmarks", "scores")
 _NAMES = ("madeFrom", "scoreNames")
 
@@ -103,15 +101,9 @@ def detections_folder(out: Path) -> Iterator[Path]:
     try:
         yield folder
     except InputError:
-        _remove(folder)
+        remove_side_folder(folder, STRETCH_FILES)
         raise
-    _remove(folder)
-
-
-def _remove(folder: Path) -> None:
-    with contextlib.suppress(OSError):  # does not exist, or holds other files
-        clear_side_folder(folder, _STRETCH_FILES)
-        folder.rmdir()
+    remove_side_folder(folder, STRETCH_FILES)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,12 @@ from usdface.core.processes import process_count, worker_processes
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance, canonical_json, hash_text
 from usdface.core.rates import exact_rate
-from usdface.core.side_files import clear_side_folder, make_side_folder
+from usdface.core.side_files import (
+    STRETCH_FILES,
+    clear_side_folder,
+    make_side_folder,
+    remove_side_folder,
+)
 from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
 from usdface.media.film.movie import write_movie
@@ -33,9 +38,6 @@ from usdface.steps.review.shot import Shot, open_shot
 STRETCH_PICTURES = 48
 """Largest number of pictures per stretch, the unit of work of a process and of an interrupted run;
 fewer if all processes then get an equal number."""
-
-_STRETCHES = r"\.?[0-9a-f]{16}\..*"
-"""Names of the files of stretches, including temporary ones."""
 
 _SLATE_SECONDS = 3
 """Duration of the verdict over the panels, from the performance's first frame."""
@@ -85,7 +87,7 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress) -> StepR
     stretches = _stretches(spec, clock, folder, provenance, workers)
     make_side_folder(folder)
     # Stretches of another spec or of older inputs are removed.
-    clear_side_folder(folder, _STRETCHES, keep=frozenset(each.file.name for each in stretches))
+    clear_side_folder(folder, STRETCH_FILES, keep=frozenset(each.file.name for each in stretches))
     waiting = [stretch for stretch in stretches if not stretch.file.is_file()]
     if len(waiting) < len(stretches):
         notes.append(
@@ -117,9 +119,7 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress) -> StepR
         timecode=clock.timecode(take.timecode_start, take.first_frame),
         comment=json.dumps(comment),
     )
-    clear_side_folder(folder, _STRETCHES)
-    with contextlib.suppress(OSError):  # holds other files
-        folder.rmdir()
+    remove_side_folder(folder, STRETCH_FILES)
     seconds = clock.picture_count / float(rate)
     return StepResult(
         (spec.out,),
