@@ -27,13 +27,13 @@ from usdface.media.picture.error_strip import (
     strip_height,
 )
 from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header, draw_legend
+from usdface.media.picture.sheet_layout import PAGE_MARGIN
 from usdface.media.picture.text import TextStyle, draw_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PAGE_WIDTH = 1600
-_PAGE_MARGIN = 36
 _LEGEND_HEIGHT = 46
 _TAKES_HEIGHT = 30
 _PLOT_HEIGHT = 300
@@ -88,24 +88,24 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
     strips = strip_height(len(page.lanes))
     takes = _TAKES_HEIGHT if len(page.takes) > 1 else 0
     body = max(_PLOT_HEIGHT + 70, 60 + _ROW_HEIGHT * len(page.next_frames))
-    top = _PAGE_MARGIN + HEADER_HEIGHT + _LEGEND_HEIGHT
-    figure = new_figure(_PAGE_WIDTH, top + takes + strips + body + _PAGE_MARGIN)
+    top = PAGE_MARGIN + HEADER_HEIGHT + _LEGEND_HEIGHT
+    figure = new_figure(_PAGE_WIDTH, top + takes + strips + body + PAGE_MARGIN)
     _draw_growth(figure, page, y=top + takes + strips + 34)
     picture = render(figure)
-    y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
-    inner = _PAGE_WIDTH - 2 * _PAGE_MARGIN
+    y = draw_header(picture, page.title, page.facts, margin=PAGE_MARGIN)
+    inner = _PAGE_WIDTH - 2 * PAGE_MARGIN
     note = "1 − coverage   ·   white marks: references"
-    draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{WORST_PERCENT:g}%")
+    draw_legend(picture, (note,), x=PAGE_MARGIN, y=y, width=inner, high=f"{WORST_PERCENT:g}%")
     y += _LEGEND_HEIGHT
     first = page.first_frame if len(page.takes) == 1 else 0
     marks = tuple((first + mark, "") for mark in page.marks)
     strip = ErrorStrip(page.lanes, first, WORST_PERCENT, marks, unit="%")
     # The strip has room for labels above its lanes; these marks have no labels.
     lanes_top = y + takes - 20
-    draw_error_strip(picture, strip, x=_PAGE_MARGIN, y=lanes_top, width=inner)
+    draw_error_strip(picture, strip, x=PAGE_MARGIN, y=lanes_top, width=inner)
     if takes:
         _draw_takes(picture, page.takes, y=y - 20, height=takes + strips - 30)
-    table_left = _PAGE_WIDTH - _PAGE_MARGIN - _TABLE_WIDTH
+    table_left = _PAGE_WIDTH - PAGE_MARGIN - _TABLE_WIDTH
     _draw_table(picture, page.next_frames, x=table_left, y=lanes_top + strips + 28)
     return picture
 
@@ -114,8 +114,8 @@ def _draw_takes(
     picture: ByteImage, takes: Sequence[tuple[str, int]], *, y: int, height: int
 ) -> None:
     """Write the takes' names above the lanes, with a line at the start of each."""
-    left = _PAGE_MARGIN + LABEL_WIDTH
-    across = _PAGE_WIDTH - _PAGE_MARGIN - left
+    left = PAGE_MARGIN + LABEL_WIDTH
+    across = _PAGE_WIDTH - PAGE_MARGIN - left
     total = sum(count for _, count in takes)
     at = 0
     for name, count in takes:
@@ -129,10 +129,10 @@ def _draw_takes(
 def _draw_growth(figure: Figure, page: CoveragePage, *, y: int) -> None:
     pairs = len(page.growth) - 1
     further = np.array([page.growth[-1], *(each.mean_then for each in page.next_frames)])
-    width = _PAGE_WIDTH - 2 * _PAGE_MARGIN - _TABLE_WIDTH - 110
+    width = _PAGE_WIDTH - 2 * PAGE_MARGIN - _TABLE_WIDTH - 110
     axes = add_axes(
         figure,
-        (_PAGE_MARGIN + 50, y, width, _PLOT_HEIGHT),
+        (PAGE_MARGIN + 50, y, width, _PLOT_HEIGHT),
         caption="Coverage",
         across="references",
         up="mean over the takes [%]",

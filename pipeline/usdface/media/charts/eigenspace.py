@@ -19,9 +19,9 @@ from usdface.media.charts.axes import (
 )
 from usdface.media.picture.color import BLUE, ORANGE
 from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header
+from usdface.media.picture.sheet_layout import PAGE_MARGIN
 
 _PAGE_WIDTH = 1600
-_PAGE_MARGIN = 36
 _PLOT_WIDTH, _PLOT_HEIGHT = 640, 400
 _ROW_HEIGHT = _PLOT_HEIGHT + 110
 _ROOM_SHARE = 0.05
@@ -43,8 +43,8 @@ def draw_eigenspace(
     `takes`: (frames, dimensions), a sample of the takes' frames [mm]. `references`: (pairs,
     dimensions) [mm]. `shares`: (dimensions,), of the markers' variance [0-1].
     """
-    top = _PAGE_MARGIN + HEADER_HEIGHT + 30
-    figure = new_figure(_PAGE_WIDTH, top + 2 * _ROW_HEIGHT + _PAGE_MARGIN)
+    top = PAGE_MARGIN + HEADER_HEIGHT + 30
+    figure = new_figure(_PAGE_WIDTH, top + 2 * _ROW_HEIGHT + PAGE_MARGIN)
     second = _PAGE_WIDTH // 2
     places = [(0, top), (second, top), (0, top + _ROW_HEIGHT)]
     for (left, y), (one, other) in zip(places, ((0, 1), (0, 2), (1, 2)), strict=True):
@@ -52,7 +52,7 @@ def draw_eigenspace(
             continue
         axes = add_axes(
             figure,
-            (left + 2 * _PAGE_MARGIN, y, _PLOT_WIDTH, _PLOT_HEIGHT),
+            (left + 2 * PAGE_MARGIN, y, _PLOT_WIDTH, _PLOT_HEIGHT),
             caption=f"component {other + 1}",
             across=f"component {one + 1}, mm",
             up="mm",
@@ -75,7 +75,7 @@ def draw_eigenspace(
     percent = 100 * np.cumsum(shares)[:shown]
     axes = add_axes(
         figure,
-        (second + 2 * _PAGE_MARGIN, top + _ROW_HEIGHT, _PLOT_WIDTH, _PLOT_HEIGHT),
+        (second + 2 * PAGE_MARGIN, top + _ROW_HEIGHT, _PLOT_WIDTH, _PLOT_HEIGHT),
         caption="Variance",
         across="components",
         up="% of the markers' variance",
@@ -86,7 +86,7 @@ def draw_eigenspace(
     plot_curve(axes, np.arange(1.0, shown + 1), percent, BLUE)
     plot_points(axes, np.arange(1.0, shown + 1), percent, BLUE)
     picture = render(figure)
-    draw_header(picture, title, facts, margin=_PAGE_MARGIN)
+    draw_header(picture, title, facts, margin=PAGE_MARGIN)
     return picture
 
 

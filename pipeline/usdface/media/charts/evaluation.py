@@ -36,14 +36,13 @@ from usdface.media.picture.error_strip import (
     strip_height,
 )
 from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header, draw_legend, draw_verdict
-from usdface.media.picture.sheet_layout import VERDICT_SCALE
+from usdface.media.picture.sheet_layout import PAGE_MARGIN, VERDICT_SCALE
 from usdface.media.picture.text import TextStyle, draw_text, shortened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE_WIDTH = 1800
-_PAGE_MARGIN = 36
 _LEGEND_HEIGHT = 44
 VERDICT_HEIGHT = 34
 LIPS_HEIGHT = 180
@@ -97,7 +96,7 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     shapes = page.shapes[:MOST_SHAPES]
     rows = -(-len(shapes) // COLUMN_COUNT)
     strips = strip_height(len(page.curves))
-    lips_top = _PAGE_MARGIN + HEADER_HEIGHT + VERDICT_HEIGHT + strips + _LEGEND_HEIGHT
+    lips_top = PAGE_MARGIN + HEADER_HEIGHT + VERDICT_HEIGHT + strips + _LEGEND_HEIGHT
     shapes_top = lips_top
     if page.lips is not None:
         shapes_top += LIPS_HEIGHT + 100
@@ -109,20 +108,20 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
         _draw_shapes(figure, shapes, y=shapes_top + 36)
     picture = render(figure)
 
-    inner = PAGE_WIDTH - 2 * _PAGE_MARGIN
+    inner = PAGE_WIDTH - 2 * PAGE_MARGIN
     high = KEYS_RANGE_MM
-    y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
-    draw_verdict(picture, page.verdict, x=_PAGE_MARGIN, y=y - 4, scale=VERDICT_SCALE)
+    y = draw_header(picture, page.title, page.facts, margin=PAGE_MARGIN)
+    draw_verdict(picture, page.verdict, x=PAGE_MARGIN, y=y - 4, scale=VERDICT_SCALE)
     y += VERDICT_HEIGHT
     marks = tuple((frame, str(frame)) for frame in page.worst)
     strip = ErrorStrip(page.curves, page.first_frame, high, marks)
-    draw_error_strip(picture, strip, x=_PAGE_MARGIN, y=y, width=inner)
+    draw_error_strip(picture, strip, x=PAGE_MARGIN, y=y, width=inner)
     y += strips
     note = (
         "RMS distance of the skin from the keys, without gaze and tongue; numbers mark the worst "
         "frames"
     )
-    draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{high:g} mm")
+    draw_legend(picture, (note,), x=PAGE_MARGIN, y=y, width=inner, high=f"{high:g} mm")
     if shapes:
         _write_shape_caption(picture, y=shapes_top, hidden=len(page.shapes) - len(shapes))
     return picture
@@ -136,8 +135,8 @@ def _draw_lips(
     both = np.concatenate([keys, solve])
     both = both[np.isfinite(both)]
     low, high = min(float(both.min()), 0.0), max(float(both.max()), 1.0)
-    left = _PAGE_MARGIN + LABEL_WIDTH
-    box = (left, y, PAGE_WIDTH - _PAGE_MARGIN - left, LIPS_HEIGHT)
+    left = PAGE_MARGIN + LABEL_WIDTH
+    box = (left, y, PAGE_WIDTH - PAGE_MARGIN - left, LIPS_HEIGHT)
     caption = "Distance of the lips"
     axes = add_axes(figure, box, caption=caption, across="frame", up="mm", whole=True)
     axes.set_xlim(first_frame - 0.5, first_frame + len(keys) - 0.5)
@@ -149,8 +148,8 @@ def _draw_lips(
 
 
 def _write_shape_caption(picture: ByteImage, *, y: int, hidden: int) -> None:
-    x = _PAGE_MARGIN + 16
-    x += draw_text(picture, "Shape by shape", x=_PAGE_MARGIN, y=y, style=_CAPTION_STYLE)
+    x = PAGE_MARGIN + 16
+    x += draw_text(picture, "Shape by shape", x=PAGE_MARGIN, y=y, style=_CAPTION_STYLE)
     note = "bar: RMS error of the weight; colour: its error on the surface; tick: its mean error"
     if hidden:
         note += f"; {hidden} more shapes err less"
@@ -159,11 +158,11 @@ def _write_shape_caption(picture: ByteImage, *, y: int, hidden: int) -> None:
 
 def _draw_shapes(figure: Figure, shapes: Sequence[ShapeBar], *, y: int) -> None:
     rows = -(-len(shapes) // COLUMN_COUNT)
-    pitch = (PAGE_WIDTH - 2 * _PAGE_MARGIN) // COLUMN_COUNT
+    pitch = (PAGE_WIDTH - 2 * PAGE_MARGIN) // COLUMN_COUNT
     longest = max(max(shape.rmse for shape in shapes), 1e-9)
     for column in range(COLUMN_COUNT):
         listed = shapes[column * rows : (column + 1) * rows]
-        x = _PAGE_MARGIN + column * pitch + NAME_WIDTH
+        x = PAGE_MARGIN + column * pitch + NAME_WIDTH
         box = (x, y, pitch - NAME_WIDTH - _NUMBERS_WIDTH, rows * _ROW_HEIGHT)
         axes = add_axes(figure, box)
         axes.set_axis_off()

@@ -22,14 +22,14 @@ from usdface.media.charts.axes import (
 )
 from usdface.media.picture.color import BLUE, ORANGE, Color
 from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header
+from usdface.media.picture.sheet_layout import PAGE_MARGIN
 from usdface.media.picture.text import TextStyle, shortened, text_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIGURE_WIDTH = 1800
-_PAGE_MARGIN = 36
-_PANELS_TOP = _PAGE_MARGIN + HEADER_HEIGHT + 6
+_PANELS_TOP = PAGE_MARGIN + HEADER_HEIGHT + 6
 PANEL_HEIGHT = 170
 _PANEL_GAP = 74
 _AXIS_WIDTH = 76
@@ -151,14 +151,14 @@ def draw_motion_curves(
     count = len(panels[0].curves[0].values)
     frames = first_frame + step * np.arange(count, dtype=np.float64)
     shown = tuple(windows) or ((first_frame, int(frames[-1])),)
-    height = _PANELS_TOP + len(panels) * (PANEL_HEIGHT + _PANEL_GAP) + _PAGE_MARGIN
+    height = _PANELS_TOP + len(panels) * (PANEL_HEIGHT + _PANEL_GAP) + PAGE_MARGIN
     figure = new_figure(FIGURE_WIDTH, height)
     names = {curve.label for panel in panels for curve in panel.curves}
     end = max(text_width(name, _LABEL_STYLE) for name in names) + 12
-    pitch = (FIGURE_WIDTH - 2 * _PAGE_MARGIN - end) // len(shown)
+    pitch = (FIGURE_WIDTH - 2 * PAGE_MARGIN - end) // len(shown)
     for row, panel in enumerate(panels):
         for column, window in enumerate(shown):
-            x = _PAGE_MARGIN + _AXIS_WIDTH + column * pitch
+            x = PAGE_MARGIN + _AXIS_WIDTH + column * pitch
             y = _PANELS_TOP + row * (PANEL_HEIGHT + _PANEL_GAP) + 28
             axes = add_axes(
                 figure,
@@ -172,7 +172,7 @@ def draw_motion_curves(
             _shade(axes, spans, named=not row)
         _label_curves(axes, panel, frames)
     picture = render(figure)
-    draw_header(picture, title, facts, margin=_PAGE_MARGIN)
+    draw_header(picture, title, facts, margin=PAGE_MARGIN)
     return picture
 
 
