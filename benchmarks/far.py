@@ -1,8 +1,8 @@
 """Accuracy and uncertainty near the references and far from them.
 
 All references are from the first half of `crosstake`. Near: its second half. Far: the same
-performer with the right side 20 s late (`onesided`: winks, half smiles), inexact keys, pairs of two
-animators with different gains, and brows with references of the cheeks. Keys and takes are read
+performer with the right side 20 s late (`onesided`: winks, half smiles), inexact keys, late keys,
+pairs of two animators with different gains, and brows with references of the cheeks. Keys and takes are read
 from files, as a user would make them; methods are trained and compared in memory.
 
 Which references are selected is chance: takes that differ by 0.03 mm give others, which changes
@@ -55,6 +55,9 @@ FIRST_FRAMES = (1, 361, 721, 1081)
 SEEDS = range(5)
 KEY_ERROR, DROPPED_BELOW, DROPPED_SHARE = 0.15, 0.1, 1 / 3
 """Inexact keys: errors of 15 %, and a third of the keys below 0.1 set to 0."""
+
+LATE_FRAMES = 2
+"""Late keys: those of the expression two frames before, 33 ms."""
 
 TUNED_COUNTS = (4, 6, 8, 12, 25)
 
@@ -219,6 +222,9 @@ def read_setups(
     gains = np.resize(ANIMATOR_GAINS, len(fifty.weights))[:, None]
     keys = replace(fifty, weights=np.clip(fifty.weights * gains, 0, 1))
     yield _setup("two animators", keys, near, second)
+    late = near[1][fifty.frames - near[0].first_frame - LATE_FRAMES]
+    late = late[:, [near[2].index(shape) for shape in fifty.shape_names]]
+    yield _setup("late keys", replace(fifty, weights=late), near, second)
     authors = tuple(np.resize(("first", "second"), len(fifty.weights)).tolist())
     yield _setup("named animators", replace(keys, authors=authors), near, second)
 

@@ -391,6 +391,9 @@ class References(_Asset):
     parts: tuple[str, ...] = ()
     """Evidence for the part of the face of each shape, if the rig was examined; see
     `usdface.model.placement.shape_parts`."""
+    trajectories: FloatArray | None = None
+    """(pairs, times, markers, 3): displacement from `markers` at times about each pair's frame, see
+    `usdface.core.trajectories` [mm]; None if unknown."""
     source_names: tuple[str, ...] = ()
     source: FloatArray | None = None
     """(pairs, source names): weights in takes that have weights instead of markers, else None."""
@@ -416,6 +419,7 @@ class References(_Asset):
             visemes=named(self.visemes),
             emotions=named(self.emotions),
             authors=named(self.authors),
+            trajectories=None if self.trajectories is None else self.trajectories[pairs],
             source=None if self.source is None else self.source[pairs],
         )
 

@@ -20,6 +20,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
 from usdface.core.sidecars import edits_path, tuned_path, weights_path
+from usdface.core.trajectories import TRAJECTORY_SECONDS
 from usdface.numerics.motion.key_reduction import no_edit
 from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance, provenance_of
@@ -791,6 +792,24 @@ def test_a_pair_that_is_added_has_the_prediction_of_a_marker_that_was_lost(shot:
     run(ReferencesAddSpec(**given, frames=str(frame), out=out))
     away = read_references(out).markers[-1, marker] - take.markers.positions[row, marker]
     assert np.linalg.norm(away) < 0.25 * moved[marker]
+
+
+def test_pairs_have_the_motion_about_their_frames(shot: Shot) -> None:
+    out, frame = shot / "more.references.usda", unpaired(shot, 300)
+    given = {"performance": shot / "shot.hero.usda", "references": shot / "hero.references.usda"}
+    run(ReferencesAddSpec(**given, frames=str(frame), out=out))
+    after, take = read_references(out), read_take(shot / "shot.clean.take.usda")
+    assert take.markers is not None
+    assert after.trajectories is not None
+    clip = take.markers.positions[:, [take.markers.names.index(n) for n in after.marker_names]]
+    before = read_references(given["references"]).trajectories
+    np.testing.assert_array_equal(after.trajectories[:-1], before)
+    for pair in (0, -1):  # selected, and added
+        row = int(after.frames[pair]) - take.first_frame
+        at = np.clip(row + float(take.rate) * TRAJECTORY_SECONDS, 0, len(clip) - 1)
+        low, high = np.floor(at).astype(int), np.ceil(at).astype(int)
+        moved = clip[low] + (at - low)[:, None, None] * (clip[high] - clip[low]) - clip[row]
+        np.testing.assert_allclose(after.trajectories[pair], moved, atol=2e-4)
 
 
 def test_what_is_said_in_old_pairs_is_not_said_in_new_ones(shot: Shot) -> None:

@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.references.read import PLACEMENT, read_references
+from usdface.core.sidecars import samples_path
+from usdface.core.trajectories import TRAJECTORY_SECONDS
+from usdface.usdio.references.read import PLACEMENT, TRAJECTORY_TIMES, read_references
 from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.references.write import write_references, write_tuned_weights
 from usdface.usdio.rig.read import read_rig
@@ -90,6 +92,28 @@ def test_references_read_back_the_same(tmp_path: Path) -> None:
         np.testing.assert_allclose(
             getattr(back.motion, field), getattr(references.motion, field), rtol=1e-12
         )
+
+
+def test_motion_about_the_pairs_is_read_at_the_same_times_only(tmp_path: Path) -> None:
+    references = small_references(tmp_path)
+    rng = np.random.default_rng(1)
+    moved = rng.normal(0, 5, (5, len(TRAJECTORY_SECONDS), 4, 3))
+    path = write(tmp_path, replace(references, trajectories=moved))
+    back = read_references(path)
+    assert back.trajectories is not None
+    np.testing.assert_allclose(back.trajectories, moved, atol=1e-4)
+    some = back.rows(np.array([3, 1])).trajectories
+    np.testing.assert_array_equal(some, back.trajectories[[3, 1]])
+    samples = Sdf.Layer.FindOrOpen(str(samples_path(path)))
+    times = samples.GetAttributeAtPath(f"/References.{TRAJECTORY_TIMES}")
+    times.default = Vt.DoubleArray([*TRAJECTORY_SECONDS[:-1], 9.0])
+    samples.Save()
+    assert read_references(path).trajectories is None
+    times.default = Vt.DoubleArray(list(TRAJECTORY_SECONDS))
+    samples.SetTimeSample("/References.face:reference:trajectory", 3, Vt.Vec3fArray(2))
+    samples.Save()
+    with pytest.raises(InputError, match=r"trajectory.*time code 3"):
+        read_references(path)
 
 
 @pytest.mark.parametrize("rate", [-24.0, 1e300, float("nan"), float("inf")])

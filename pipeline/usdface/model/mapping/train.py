@@ -9,6 +9,7 @@ from usdface.core.arrays import Arrays, FloatArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.progress import Progress, silent
 from usdface.core.rig_logic import logic_of
+from usdface.core.trajectories import displacements_at
 from usdface.model.mapping.candidates import (
     Comparison,
     OutOfFold,
@@ -23,6 +24,7 @@ from usdface.model.mapping.corrected_pairs import (
     fit_pairs_forward,
     fit_rig_prior,
 )
+from usdface.model.mapping.key_delays import find_key_delays
 from usdface.model.mapping.motion_space import (
     marker_coordinates,
     motion_arrays,
@@ -128,8 +130,10 @@ def train_mapping(
     face = _face(references, checked, sides, gram=gram, skin=skin, rest=rest)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=face.motion)
     progress(0.0, "fitting the forward model")
-    aligned = _remove_take_offsets(checked, face)
-    pair_arrays = _pair_arrays(checked, aligned)
+    delays = _key_delays(checked, face)
+    timed = _remove_key_delays(checked, delays)
+    aligned = _remove_take_offsets(timed, face)
+    pair_arrays = _pair_arrays(checked, timed, aligned, delays)
     checked, face, pose_arrays, pose_error_mm = _remove_pose_errors(aligned, face)
     folds = PairFolds(_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
@@ -187,17 +191,41 @@ def _face(
     )
 
 
-def _pair_arrays(references: References, aligned: References) -> Arrays:
+def _key_delays(references: References, face: Face) -> FloatArray:
+    """Return the delay of each pair's keys: (pairs,) [s]; see `find_key_delays`."""
+    if references.trajectories is None or face.neutral is None:
+        return np.zeros(len(references.weights))
+    take = np.unique(references.takes, return_inverse=True)[1]
+    take = np.where(references.tuned, take, -1)
+    return find_key_delays(_pairs(references, face), references.trajectories, take)
+
+
+def _remove_key_delays(references: References, delays: FloatArray) -> References:
+    """Return the references with the markers of the times that their keys describe."""
+    if references.trajectories is None or not delays.any():
+        return references
+    markers = references.markers + displacements_at(references.trajectories, -delays)
+    return replace(references, markers=markers)
+
+
+def _pair_arrays(
+    references: References, timed: References, aligned: References, delays: FloatArray
+) -> Arrays:
     """Return the pairs' frames and markers, by which their takes are aligned when mapped.
 
-    `aligned`: the references without the takes' offsets, whose root mean square is returned too.
+    Also the root mean square offset and the keys' delay of each take. `timed`: the
+    references at the times of their keys; `aligned`: the same without the takes' offsets.
     """
     take = np.unique(references.takes, return_inverse=True)[1]
-    moved = ((references.markers - aligned.markers) ** 2).sum(axis=2).mean(axis=1)
+    offset = timed.markers - aligned.markers
+    squared = (offset**2).sum(axis=2).mean(axis=1)
+    take_delay = np.zeros(int(take.max()) + 1)
+    take_delay[take[delays != 0]] = delays[delays != 0]
     return {
         "pair_frames": np.stack([take, references.frames], axis=1),
-        "pair_markers": aligned.markers,
-        "take_offset_mm": np.sqrt(np.bincount(take, moved) / np.bincount(take)),
+        "pair_markers": references.markers - offset,
+        "take_offset_mm": np.sqrt(np.bincount(take, squared) / np.bincount(take)),
+        "take_delay": take_delay,
     }
 
 

@@ -11,6 +11,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, s
 from usdface.core.assets import Markers, References, Rig, Take
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.text import shell_word
+from usdface.core.trajectories import TRAJECTORY_SECONDS, read_trajectories
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head_space
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.model.mapping.take_neutral import TakeNeutral
@@ -174,10 +175,12 @@ class CleanedTakes:
     def new_references(self, rig: Rig, rows: IntArray, weights: FloatArray) -> References:
         """Return pairs at rows of all frames, with weights to be tuned, (rows, shapes)."""
         first = self.sources[0]
+        markers = self.positions_at(rows).astype(np.float64)
         return References(
             marker_names=self.marker_names,
             shape_names=rig.shapes,
-            markers=self.positions_at(rows).astype(np.float64),
+            markers=markers,
+            trajectories=self._trajectories(rows) - markers[:, None] if self.marker_names else None,
             weights=weights,
             frames=self.frames[rows],
             takes=tuple(self.takes[row] for row in rows),
@@ -192,6 +195,21 @@ class CleanedTakes:
             neutral_take=first.name,
             rate=float(first.rate),
         )
+
+    def _trajectories(self, rows: IntArray) -> FloatArray:
+        """Return the markers about rows of all frames: (rows, times, markers, 3) [mm]."""
+        found = np.empty((len(rows), len(TRAJECTORY_SECONDS), len(self.marker_names), 3))
+        of_take = np.array(self.take_rows(rows), np.int64).reshape(-1, 2)
+        for take in np.unique(of_take[:, 0]):
+            here, clip = of_take[:, 0] == take, self.positions[take]
+            found[here] = read_trajectories(
+                of_take[here, 1],
+                rate=float(self.sources[take].rate),
+                first=0,
+                last=len(clip) - 1,
+                positions_at=clip.__getitem__,
+            )
+        return found
 
 
 def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:

@@ -15,6 +15,7 @@ from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
+from usdface.core.trajectories import TRAJECTORY_SECONDS, read_trajectories
 from usdface.model.mapping.motion_space import frames_at, marker_coordinates, motion_of_pairs
 from usdface.model.mapping.performer_face import face_of_references
 from usdface.numerics.motion.key_reduction import EditCurve
@@ -186,26 +187,37 @@ def choose_distant_rows(weights: FloatArray, change: FloatArray, count: int) -> 
 def captured_markers(
     take: TakeReader, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the markers [mm] of frames in the references' space, and which frames show enough.
+    """Return the captured motion of frames, and which frames show enough markers.
 
-    Markers that are not visible have the prediction from the others. Of references of takes that
-    carry weights: the weights, in the order of their source names.
+    The motion is that of the markers in the references' space, at `TRAJECTORY_SECONDS`: (frames,
+    times, markers, 3) [mm]. Markers that are not visible have the prediction from the others. Of
+    references of takes that carry weights, it is the weights, in the order of their source names.
     """
     if old.source is not None:
-        motion = read_source_motion(take.path)
-        columns = columns_by_name(motion.weights, motion.names, old.source_names)
-        return columns[frames - motion.first_frame], np.ones(len(frames), dtype=np.bool_)
+        source = read_source_motion(take.path)
+        columns = columns_by_name(source.weights, source.names, old.source_names)
+        return columns[frames - source.first_frame], np.ones(len(frames), dtype=np.bool_)
     # Not the mapping's space, which differs if the references were selected again since.
     space = take_head_space(take, face_of_references(old))
-    placed = space.place(read_markers_at(take, frames.tolist()))
-    positions, visible = placed.positions.astype(np.float64), placed.visible
-    enough = np.asarray(visible.mean(axis=1) >= USABLE_SHARE)
-    if not visible.all():
-        space_of_motion = old.motion or motion_of_pairs(old)
+    space_of_motion = old.motion or motion_of_pairs(old)
+    enough = np.zeros(len(frames), np.bool_)
+
+    def positions_at(needed: IntArray) -> FloatArray:
+        placed = space.place(read_markers_at(take, needed.tolist()))
+        positions, visible = placed.positions.astype(np.float64), placed.visible
+        enough[:] = visible[np.searchsorted(needed, frames)].mean(axis=1) >= USABLE_SHARE
         coordinates = marker_coordinates(space_of_motion, positions, visible=visible)
         expected = frames_at(space_of_motion, coordinates)
-        positions = np.where(visible[:, :, None], positions, expected)
-    return positions, enough
+        return np.where(visible[:, :, None], positions, expected)
+
+    motion = read_trajectories(
+        frames,
+        rate=float(take.rate),
+        first=take.first_frame,
+        last=take.last_frame,
+        positions_at=positions_at,
+    )
+    return motion, enough
 
 
 def with_pairs(
@@ -217,15 +229,20 @@ def with_pairs(
     *,
     tuned: bool,
 ) -> References:
-    """Return references with further pairs of one take."""
+    """Return references with further pairs of one take; `captured`: as of `captured_markers`."""
     unlabelled = ("",) * len(frames)
-    markers, source = captured, old.source
+    source, trajectories = old.source, old.trajectories
     if source is not None:
         markers, source = np.zeros((len(frames), 0, 3)), np.concatenate([source, captured])
+    else:
+        markers = captured[:, TRAJECTORY_SECONDS == 0][:, 0]
+    if trajectories is not None:
+        trajectories = np.concatenate([trajectories, captured - markers[:, None]])
     return replace(
         old,
         markers=np.concatenate([old.markers, markers]),
         source=source,
+        trajectories=trajectories,
         weights=np.concatenate([old.weights, weights]),
         frames=np.concatenate([old.frames, frames]),
         takes=(*old.takes, *((take,) * len(frames))),

@@ -11,6 +11,7 @@ from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, json_object
+from usdface.core.trajectories import TRAJECTORY_SECONDS
 from usdface.usdio.authoring import names_in, read_array_samples, text_of, value_of
 from usdface.usdio.layers import read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
@@ -33,6 +34,8 @@ EMOTION = ROOT.AppendProperty("face:reference:emotion")
 AUTHOR = ROOT.AppendProperty("face:reference:author")
 PLACEMENT = "face:reference:placement"
 RATE = "face:reference:rate"
+TRAJECTORY = ROOT.AppendProperty("face:reference:trajectory")
+TRAJECTORY_TIMES = "face:reference:trajectoryTimes"
 
 
 def _open(path: Path) -> Usd.Stage:
@@ -62,9 +65,7 @@ def read_references(path: Path) -> References:
             "they are of another selection; select again, which keeps what is tuned"
         )
     frames, takes, tuned = (root.GetAttribute(path.name) for path in (FRAME_PATH, TAKE, TUNED))
-    neutral = np.array(
-        points.GetPrim().GetAttribute("face:markers:neutral").Get(), dtype=np.float64
-    )
+    neutral = np.array(value_of(points.GetPrim(), "face:markers:neutral"), np.float64)
     rig_file, rig_prim = rig_of(stage, animation.GetPrim())
     combinations = combinations_of(stage, animation.GetPrim(), path)
     driven = {each.shape for each in combinations}
@@ -96,6 +97,7 @@ def read_references(path: Path) -> References:
         neutral_take=text_of(root, "face:neutralTake"),
         rate=_read_rate(root, path),
         placement=_read_placement_path(root, path),
+        trajectories=_read_trajectories(root, path, pairs, marker_names),
         source_names=source_names,
         source=_stack(path, source.GetBlendShapeWeightsAttr(), pairs, source_names)
         if source
@@ -189,6 +191,18 @@ def _stack(
         )
     remedy = "restore the layer or select again"
     return read_array_samples(path, attribute, pairs, names, size, remedy=remedy)
+
+
+def _read_trajectories(
+    root: Usd.Prim, path: Path, pairs: range, marker_names: tuple[str, ...]
+) -> FloatArray | None:
+    """Return the motion about each pair [mm]; None of earlier versions, or at other times."""
+    times = np.array(value_of(root, TRAJECTORY_TIMES) or (), np.float64)
+    if len(times) != len(TRAJECTORY_SECONDS) or not np.allclose(times, TRAJECTORY_SECONDS):
+        return None
+    names = tuple(f"{time:g} s {marker}" for time in times for marker in marker_names)
+    found = _stack(path, root.GetAttribute(TRAJECTORY.name), pairs, names, (3,))
+    return found.reshape(len(pairs), len(times), len(marker_names), 3) * MM_PER_STAGE_UNIT
 
 
 def _read_motion(root: Usd.Prim) -> MotionSpace | None:

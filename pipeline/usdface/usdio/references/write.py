@@ -16,6 +16,7 @@ from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import logic_of
 from usdface.core.sidecars import proposed_path, samples_path, tuned_path
+from usdface.core.trajectories import TRAJECTORY_SECONDS
 from usdface.usdio.authoring import (
     PointExtents,
     apply_api,
@@ -39,6 +40,8 @@ from usdface.usdio.references.read import (
     ROOT,
     SOURCE_PATH,
     TAKE,
+    TRAJECTORY,
+    TRAJECTORY_TIMES,
     TUNED,
     VISEME,
     WEIGHTS_PATH,
@@ -227,10 +230,20 @@ def _author_samples(layer: Sdf.Layer, references: References) -> None:
     extents.author(layer, range(1, len(references.frames) + 1), stage_points)
     rows = map(Vt.Vec3fArray.FromNumpy, stage_points)
     author_series(points, "points", Sdf.ValueTypeNames.Point3fArray, rows)
+    if references.trajectories is not None:
+        _author_trajectories(root, references.trajectories)
     if references.source is None:
         return
     animation = define_prim(layer, SOURCE_PATH, "SkelAnimation")
     author_weights(animation, references.source_names, references.source)
+
+
+def _author_trajectories(root: Sdf.PrimSpec, trajectories: FloatArray) -> None:
+    kinds = Sdf.ValueTypeNames
+    author_uniform(root, TRAJECTORY_TIMES, kinds.DoubleArray, doubles(TRAJECTORY_SECONDS))
+    moved = (trajectories / MM_PER_STAGE_UNIT).astype(np.float32)
+    rows = (Vt.Vec3fArray.FromNumpy(each.reshape(-1, 3)) for each in moved)
+    author_series(root, TRAJECTORY.name, kinds.Vector3fArray, rows)
 
 
 def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:

@@ -1,0 +1,121 @@
+"""Delays of keys: the video from which they were set may not be in sync with the capture.
+
+Keys that are late by d seconds describe the face of a time d before their frame. r_n(d) are the
+residuals of pair n under the forward model (`forward_model`) with the markers of that time, and v_n
+the velocities of these, both whitened by the covariance of the pairs, ``C = L L'``: ``L^-1 r``,
+``L^-1 v``. As r changes by -v with d, the Gauss-Newton step is that of weighted least squares ::
+
+    h_n = |v_n|^2,  s_n = v_n'r_n / h_n,  step = sum_n h_n s_n / sum_n h_n
+    error^2 = sum_n h_n (s_n - step)^2 / ((N - 1) sum_n h_n)
+
+Markers of a frame have common errors, so that frames are the samples, of which there are
+effectively ``(sum_n h_n)^2 / sum_n h_n^2`` (Kish 1965): some hardly move.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.trajectories import TRAJECTORY_SECONDS, displacements_at
+from usdface.model.mapping.corrected_pairs import RigPrior, fit_pairs_forward, fit_rig_prior
+from usdface.model.regressions.base import Pairs
+from usdface.model.regressions.forward_model import ForwardScales
+
+_SCALES = ForwardScales(tau=0.1)
+"""Of the forward model: animators' keys have errors of 5 to 15 %."""
+
+_ROUNDS, _PRECISION = 6, 1e-3
+"""Largest number of steps, and length of the last one [s]."""
+
+_LARGEST_STEP = 1 / 30
+_HALF_INTERVAL = 1 / 60
+"""Of a velocity [s]."""
+
+LARGEST_DELAY = float(TRAJECTORY_SECONDS[-1]) - _HALF_INTERVAL
+"""[s]"""
+_LEAST_DELAY = 0.004
+"""Shorter ones are not removed [s]: a quarter of a frame at 60 per second."""
+
+_FALSE_POSITIVE_RATE = 0.01
+"""Probability of a delay that is found in keys that have none."""
+
+
+def find_key_delays(pairs: Pairs, trajectories: FloatArray, take: IntArray) -> FloatArray:
+    """Return the delay of each pair's keys, positive if they are late, 0 if it is not significant.
+
+    One delay for all takes is found first, then one for each. Returns (pairs,) [s].
+
+    Parameters
+    ----------
+    pairs : Pairs
+        With markers of the frames that were keyed.
+    trajectories : (pairs, times, markers, 3) array
+        Of `References` [mm].
+    take : (pairs,) int array
+        Index of each pair's take; -1 for proposals, which are made from the markers.
+    """
+    prior, delays = fit_rig_prior(pairs), np.zeros(len(take))
+    takes = [take == each for each in np.unique(take[take >= 0])]
+    for members in ([take >= 0], takes)[: len(takes)]:
+        delays = _refine(pairs, prior, trajectories, delays, members)
+    return np.where(np.abs(delays) < _LEAST_DELAY, 0.0, delays)
+
+
+def _refine(
+    pairs: Pairs,
+    prior: RigPrior,
+    trajectories: FloatArray,
+    start: FloatArray,
+    members: list[BoolArray],
+) -> FloatArray:
+    """Return the delays with those of groups of pairs changed where that is significant."""
+    found, longest = start.copy(), np.inf
+    for _ in range(_ROUNDS):
+        if not members or longest < _PRECISION:
+            break
+        information, step = _pair_steps(pairs, prior, trajectories, found)
+        changed, longest = [], 0.0
+        for group in members:
+            mean, critical = _mean_step(information[group], step[group])
+            if np.abs(found[group] + mean - start[group]).max() < critical:
+                found[group] = start[group]
+                continue
+            moved = found[group] + np.clip(mean, -_LARGEST_STEP, _LARGEST_STEP)
+            found[group] = np.clip(moved, -LARGEST_DELAY, LARGEST_DELAY)
+            longest = max(longest, abs(mean))
+            changed.append(group)
+        members = changed
+    return found
+
+
+def _pair_steps(
+    pairs: Pairs, prior: RigPrior, trajectories: FloatArray, delays: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ``h_n`` [s^-2] and ``s_n`` [s] of each pair."""
+    before, now, after = (
+        displacements_at(trajectories, time - delays)
+        for time in (-_HALF_INTERVAL, 0.0, _HALF_INTERVAL)
+    )
+    timed = replace(pairs, markers=np.asarray(pairs.markers) + now)
+    forward = fit_pairs_forward(timed, _SCALES, prior)
+    root = np.linalg.cholesky(forward.inverse)  # C^-1 = root root', so that L^-1 = root'
+    velocity = (after - before).transpose(1, 0, 2) / (2 * _HALF_INTERVAL)
+    velocity = root.transpose(0, 2, 1) @ velocity
+    residual = np.linalg.solve(root, forward.dual.transpose(1, 0, 2))  # dual: C^-1 r
+    information = (velocity**2).sum(axis=(0, 2))
+    step = (velocity * residual).sum(axis=(0, 2)) / np.maximum(information, 1e-12)
+    return information, step
+
+
+def _mean_step(information: FloatArray, step: FloatArray) -> tuple[float, float]:
+    """Return the mean step of a group, and the largest change that is not significant [s]."""
+    from scipy.special import stdtrit  # SciPy is only loaded for training
+
+    whole = max(float(information.sum()), 1e-12)
+    mean = float(information @ step) / whole
+    degrees = whole**2 / max(float(information @ information), 1e-24) - 1
+    if degrees < 1:
+        return mean, np.inf
+    error2 = float(information @ (step - mean) ** 2) / ((len(step) - 1) * whole)
+    return mean, float(stdtrit(degrees, 1 - _FALSE_POSITIVE_RATE / 2)) * error2**0.5

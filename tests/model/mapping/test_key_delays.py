@@ -1,0 +1,101 @@
+"""Keys of a video that is not in sync with the capture."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.model.synthetic import SyntheticFace, references_of, synthetic_face
+from usdface.core.assets import References, TrainedMapping
+from usdface.core.trajectories import read_trajectories
+from usdface.model.mapping.predict import WeightPredictor
+from usdface.model.mapping.train import train_mapping
+
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
+FIRST, OTHER = synthetic_face(frames=2400), synthetic_face(frames=2400, seed=4)
+CHOSEN = np.random.default_rng(3).permutation(np.arange(20, 2380, 40))[:24]
+RATE = 60.0
+
+
+def keyed(
+    face: SyntheticFace, late_frames: int, *, error: float = 0.1, seed: int = 0
+) -> References:
+    """Return pairs whose keys are of earlier frames, with errors as an animator's."""
+    pairs = references_of(face, CHOSEN)
+    around = read_trajectories(
+        CHOSEN, rate=RATE, first=0, last=2399, positions_at=face.positions.__getitem__
+    )
+    keys = face.weights[CHOSEN - late_frames]
+    keys = keys * (1 + error * np.random.default_rng(seed).normal(size=keys.shape))
+    return replace(
+        pairs,
+        weights=np.clip(keys, 0, 1),
+        trajectories=around - pairs.markers[:, None],
+        neutral_take="take",
+    )
+
+
+def trained(pairs: References) -> TrainedMapping:
+    given = {"ranges": FIRST.ranges, "gram": FIRST.gram, "skin": FIRST.shapes}
+    return train_mapping(pairs, method="face_map", **given)  # type: ignore[arg-type]
+
+
+def joined(first: References, second: References) -> References:
+    names = ("markers", "weights", "frames", "tuned", "trajectories")
+    both = {
+        name: np.concatenate([getattr(each, name) for each in (first, second)]) for name in names
+    }
+    takes = ("take",) * len(first.takes) + ("other",) * len(second.takes)
+    return replace(first, takes=takes, **both)
+
+
+@pytest.mark.parametrize("late_frames", [-4, -1, 2, 7])
+def test_the_delay_is_found_and_the_mapping_is_that_of_keys_in_sync(late_frames: int) -> None:
+    mapping = trained(keyed(FIRST, late_frames))
+    assert mapping.arrays["take_delay"] * RATE == pytest.approx([late_frames], abs=0.6)
+    rms = [
+        np.sqrt(
+            ((WeightPredictor(each).predict(FIRST.positions).weights - FIRST.weights) ** 2).mean()
+        )
+        for each in (mapping, trained(keyed(FIRST, 0)))
+    ]
+    assert rms[0] < 1.2 * rms[1]
+    at_its_frame = replace(keyed(FIRST, late_frames), trajectories=None)
+    without = WeightPredictor(trained(at_its_frame)).predict(FIRST.positions).weights
+    assert np.sqrt(((without - FIRST.weights) ** 2).mean()) > rms[0]
+
+
+def test_keys_in_sync_have_no_delay() -> None:
+    found = [
+        trained(keyed(FIRST, 0, error=0.2, seed=seed)).arrays["take_delay"] for seed in range(8)
+    ]
+    assert not np.any(found)
+
+
+def test_each_take_has_its_delay() -> None:
+    mapping = trained(joined(keyed(FIRST, 3), keyed(OTHER, -2)))
+    found = dict(zip(("other", "take"), RATE * mapping.arrays["take_delay"], strict=True))
+    assert found == pytest.approx({"take": 3, "other": -2}, abs=0.6)
+
+
+def test_one_delay_of_takes_with_few_pairs_each_is_found() -> None:
+    few = [keyed(face, 3).rows(np.arange(8)) for face in (FIRST, OTHER)]
+    alone = trained(few[0]).arrays["take_delay"]
+    assert not alone.any()
+    both = trained(joined(*few))
+    assert both.arrays["take_delay"] * RATE == pytest.approx([3, 3], abs=0.5)
+
+
+def test_pairs_are_kept_by_which_takes_are_aligned() -> None:
+    pairs = keyed(FIRST, 3)
+    stored = trained(pairs).arrays["pair_markers"]
+    np.testing.assert_allclose(stored, pairs.markers)
+
+
+def test_proposals_have_no_delay() -> None:
+    late, proposals = keyed(FIRST, 4), keyed(OTHER, 0, error=0.0)
+    pairs = joined(late, proposals)
+    pairs = replace(pairs, takes=("take",) * len(pairs.takes))
+    pairs = replace(pairs, tuned=np.arange(len(pairs.weights)) < len(CHOSEN))
+    assert trained(pairs).arrays["take_delay"] * RATE == pytest.approx([4], abs=0.6)
