@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from benchmarks.performers import performance
-from benchmarks.random_captures import _columns
+from benchmarks.random_captures import channel_columns
 from benchmarks.random_setups import bursts
 from tests.conftest import SHARED_DATA
 from usdface.core.deformer import Deformer
@@ -65,7 +65,7 @@ def make_face(setup: SimpleNamespace, rng: np.random.Generator) -> Face:
         rows[:, [channel.endswith("right") for channel in channels]] *= 0.1
         rows[:, channels.index("eyeblinkleft")] = rng.random(FRAMES)
     weights = np.zeros((FRAMES, len(names)))
-    for column, channel in _columns(rig.shapes, channels):
+    for column, channel in channel_columns(rig.shapes, channels):
         weights[1:, column] = rows[1:, channel]
     mouth = np.flatnonzero([name.startswith(("mouth", "jaw")) for name in names])
     lips = find_lip_pairs(mesh.points, offsets, jaw_open=names.index("jawopen"), mouth=mouth)

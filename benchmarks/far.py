@@ -2,8 +2,8 @@
 
 All references are from the first half of `crosstake`. Near: its second half. Far: the same
 performer with the right side 20 s late (`onesided`: winks, half smiles), inexact keys, late keys,
-pairs of two animators with different gains, and brows with references of the cheeks. Keys and takes are read
-from files, as a user would make them; methods are trained and compared in memory.
+pairs of two animators with different gains, and brows with references of the cheeks. Keys and takes
+are read from files, as a user would make them; methods are trained and compared in memory.
 
 Which references are selected is chance: takes that differ by 0.03 mm give others, which changes
 errors by up to a fifth. Figures are means over four selections, from frames that begin three

@@ -117,10 +117,10 @@ Found = tuple[float, float, float, list[float], str]
 def measure(number: int) -> tuple[Setup, Found | str]:
     """Return a set-up, and its errors, shares and verdict, or the message of a refusal."""
     rng = np.random.default_rng(7000 + number)
-    setup = _draw(rng)
+    setup = draw_setup(rng)
     file = SHARED_DATA / "rigs" / f"{setup.rig}.usdc"
-    shapes, weights = _shapes(file), _performances(file, setup)
-    performer = _Performer(shapes, setup, rng)
+    shapes, weights = rig_shapes(file), performances(file, setup)
+    performer = Performer(shapes, setup, rng)
     with tempfile.TemporaryDirectory() as name, chdir(name):
         for take, acted in zip("ab", weights, strict=True):
             shift = setup.reapplied_mm * (take == "b")
@@ -154,7 +154,7 @@ def measure(number: int) -> tuple[Setup, Found | str]:
             if "own.usda" in line or "other.usda" in line:
                 verdict = said.strip().splitlines()[-1].partition(":")[0]
         (own, _), (other, within), (base, _) = (
-            _score(Path(f"{out}.usda"), acted, shapes)
+            score(Path(f"{out}.usda"), acted, shapes)
             for out, acted in zip(("own", "other", "base"), (*weights, weights[1]), strict=True)
         )
     return setup, (own, other, base, within, verdict)
@@ -170,7 +170,7 @@ def run_command(line: str) -> tuple[int, str]:
     return 0, output.getvalue()
 
 
-def _draw(rng: np.random.Generator) -> Setup:
+def draw_setup(rng: np.random.Generator) -> Setup:
     choice = rng.choice
     return Setup(
         rig=str(choice(["ict_face", "facecap_head"])),
@@ -196,7 +196,7 @@ def _draw(rng: np.random.Generator) -> Setup:
     )
 
 
-def _columns(names: tuple[str, ...], channels: tuple[str, ...]) -> list[tuple[int, int]]:
+def channel_columns(names: tuple[str, ...], channels: tuple[str, ...]) -> list[tuple[int, int]]:
     """Return the columns of a rig's shapes and of the channels of a phone that drive them."""
     own = [channel_of(name) for name in names]
     bare = [each.removesuffix("left").removesuffix("right") for each in own]
@@ -208,7 +208,7 @@ def _columns(names: tuple[str, ...], channels: tuple[str, ...]) -> list[tuple[in
     ]
 
 
-def _performances(file: Path, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
+def performances(file: Path, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     """Return weights of the rig's shapes in both takes, which start at rest."""
     names = read_rig(file).shapes
     found = []
@@ -218,7 +218,7 @@ def _performances(file: Path, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     ):
         values, channels = performance(source, rate)
         weights = np.zeros((len(values), len(names)))
-        for column, channel in _columns(names, channels):
+        for column, channel in channel_columns(names, channels):
             weights[:, column] = values[:, channel]
         found.append(weights)
     half = len(found[0]) // 2
@@ -234,7 +234,7 @@ def _performances(file: Path, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     return pair[0], pair[1]
 
 
-def _shapes(file: Path) -> Shapes:
+def rig_shapes(file: Path) -> Shapes:
     """Return displacements by the rig's own shapes, of all points."""
     rig = read_rig(file)
     deformer = Deformer(rig)
@@ -244,7 +244,7 @@ def _shapes(file: Path) -> Shapes:
     return Shapes(names, deformer.neutral, flat.reshape(len(flat), -1, 3), gram)
 
 
-class _Performer:
+class Performer:
     """A simulated performer with markers."""
 
     def __init__(self, shapes: Shapes, setup: Setup, rng: np.random.Generator) -> None:
@@ -371,7 +371,7 @@ def write_keys(file: Path, names: tuple[str, ...], weights: np.ndarray) -> None:
     file.write_text("\n".join(rows), encoding="utf-8")
 
 
-def _score(file: Path, truth: np.ndarray, shapes: Shapes) -> tuple[float, list[float]]:
+def score(file: Path, truth: np.ndarray, shapes: Shapes) -> tuple[float, list[float]]:
     """Return the error [mm], and the shares of frames within the limit, the face first."""
     stage = Usd.Stage.Open(str(file))
     (animation,) = (each for each in stage.TraverseAll() if each.GetTypeName() == "SkelAnimation")
