@@ -73,15 +73,15 @@ def measure(number: int) -> tuple[Setup, list[list[float]], list[list[float]]]:
         SHARED_DATA / "rigs" / f"{name}.usdc" for name in (setup.rig, OTHER_HEAD[setup.rig])
     )
     shapes, performer_shapes = rig_shapes(own), rig_shapes(other)
-    acted, moved = performances(own, setup), performances(other, setup)
+    acted, moved = ([*performances(file, setup)] for file in (own, other))
     late = [set(shapes.names), set(performer_shapes.names)]
     late_names = {
         name
         for name in set.intersection(*late)
         if name.endswith("right") and all(name[:-5] + "left" in each for each in late)
     }
-    acted = (*acted, _one_sided(acted[1], shapes.names, late_names))
-    moved = (*moved, _one_sided(moved[1], performer_shapes.names, late_names))
+    acted.append(_one_sided(acted[1], shapes.names, late_names))
+    moved.append(_one_sided(moved[1], performer_shapes.names, late_names))
     performer = Performer(performer_shapes, setup, rng)
     with tempfile.TemporaryDirectory() as name, chdir(name):
         for take, weights in zip("abc", moved, strict=True):
