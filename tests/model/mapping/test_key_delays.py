@@ -8,8 +8,10 @@ import pytest
 from tests.model.synthetic import SyntheticFace, references_of, synthetic_face
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.trajectories import read_trajectories
+from usdface.model.mapping.key_delays import pair_steps
 from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions.forward_model import ForwardScales, fit_forward_model
 
 pytestmark = pytest.mark.usefixtures("without_comparison")
 
@@ -48,6 +50,22 @@ def joined(first: References, second: References) -> References:
     }
     takes = ("take",) * len(first.takes) + ("other",) * len(second.takes)
     return replace(first, takes=takes, **both)
+
+
+def test_steps_are_those_of_generalised_least_squares() -> None:
+    pairs = keyed(FIRST, 2)
+    weights = (pairs.weights, pairs.markers - FIRST.neutral)
+    forward = fit_forward_model(
+        *weights, expected=FIRST.shapes, neutral=FIRST.neutral, scales=ForwardScales(tau=0.1)
+    )
+    velocity = np.random.default_rng(2).normal(size=pairs.markers.shape)
+    information, step = pair_steps(forward, velocity)
+    precise = residual = 0.0
+    for k, inverse in enumerate(forward.inverse):
+        precise += np.trace(velocity[:, k].T @ inverse @ velocity[:, k])
+        residual += np.trace(velocity[:, k].T @ forward.dual[:, k])
+    assert information.sum() == pytest.approx(precise)
+    assert information @ step / information.sum() == pytest.approx(residual / precise)
 
 
 @pytest.mark.parametrize("late_frames", [-4, -1, 2, 7])

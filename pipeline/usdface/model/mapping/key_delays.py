@@ -20,7 +20,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.trajectories import TRAJECTORY_SECONDS, displacements_at
 from usdface.model.mapping.corrected_pairs import RigPrior, fit_pairs_forward, fit_rig_prior
 from usdface.model.regressions.base import Pairs
-from usdface.model.regressions.forward_model import ForwardScales
+from usdface.model.regressions.forward_model import ForwardModel, ForwardScales
 
 _SCALES = ForwardScales(tau=0.1)
 """Of the forward model: animators' keys have errors of 5 to 15 %."""
@@ -74,7 +74,7 @@ def _refine(
     for _ in range(_ROUNDS):
         if not members or longest < _PRECISION:
             break
-        information, step = _pair_steps(pairs, prior, trajectories, found)
+        information, step = pair_steps(*_fit_at(pairs, prior, trajectories, found))
         changed, longest = [], 0.0
         for group in members:
             mean, critical = _mean_step(information[group], step[group])
@@ -89,22 +89,28 @@ def _refine(
     return found
 
 
-def _pair_steps(
+def _fit_at(
     pairs: Pairs, prior: RigPrior, trajectories: FloatArray, delays: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return ``h_n`` [s^-2] and ``s_n`` [s] of each pair."""
+) -> tuple[ForwardModel, FloatArray]:
+    """Return the forward model of the keyed times, and the markers' velocities there [mm/s]."""
     before, now, after = (
         displacements_at(trajectories, time - delays)
         for time in (-_HALF_INTERVAL, 0.0, _HALF_INTERVAL)
     )
     timed = replace(pairs, markers=np.asarray(pairs.markers) + now)
-    forward = fit_pairs_forward(timed, _SCALES, prior)
+    return fit_pairs_forward(timed, _SCALES, prior), (after - before) / (2 * _HALF_INTERVAL)
+
+
+def pair_steps(forward: ForwardModel, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ``h_n`` [s^-2] and ``s_n`` [s] of each pair: (pairs,).
+
+    `velocity`: of the markers, (pairs, markers, 3) [mm/s].
+    """
     root = np.linalg.cholesky(forward.inverse)  # C^-1 = root root', so that L^-1 = root'
-    velocity = (after - before).transpose(1, 0, 2) / (2 * _HALF_INTERVAL)
-    velocity = root.transpose(0, 2, 1) @ velocity
+    whitened = root.transpose(0, 2, 1) @ velocity.transpose(1, 0, 2)
     residual = np.linalg.solve(root, forward.dual.transpose(1, 0, 2))  # dual: C^-1 r
-    information = (velocity**2).sum(axis=(0, 2))
-    step = (velocity * residual).sum(axis=(0, 2)) / np.maximum(information, 1e-12)
+    information = (whitened**2).sum(axis=(0, 2))
+    step = (whitened * residual).sum(axis=(0, 2)) / np.maximum(information, 1e-12)
     return information, step
 
 
