@@ -139,6 +139,9 @@ class RetargetScore:
     error of the weights without a source rig."""
     pair_error: float
     """Root mean square residual at the pairs, each control over its range."""
+    overshoot: float = 0.0
+    """Root mean square by which parts of the pairs' expressions move controls farther than the
+    whole ones, over the motion of these."""
 
 
 @dataclass(frozen=True)

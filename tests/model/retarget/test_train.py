@@ -14,16 +14,19 @@ from usdface.model.retarget.control_space import (
     constant_controls,
     control_space,
     find_pair_conflicts,
+    inseparable_sides,
     unused_shapes,
 )
 from usdface.model.retarget.train import (
     EQUAL_ROUND_TRIP_MM,
+    OVERSHOOT_MARGIN,
     make_examples,
     retarget,
     round_trip,
     train_retargeting,
     unspanned_shares,
 )
+from usdface.steps.retarget.train import pair_notes
 
 SHAPES = ("jawOpen", "eyeBlink", "smile")
 
@@ -119,6 +122,26 @@ def test_shapes_that_hardly_move_in_inexact_pairs_do_not_run_wild() -> None:
     trained = train_retargeting(pairs, method="auto")
     error = retarget(trained, unseen).weights - unseen @ matrix
     assert np.linalg.norm(error) < 0.6 * np.linalg.norm(unseen @ matrix)
+
+
+def test_what_pairs_of_both_sides_hardly_show_is_not_amplified() -> None:
+    """The sides differ by 0.003, and the target's range cuts its weights in a few pairs."""
+    rng = np.random.default_rng(0)
+    both = rng.random((40, 6)) * (rng.random((40, 6)) < 0.4)
+    both[0] = 0
+    other = np.clip(both + 0.003 * rng.standard_normal(both.shape) * (both > 0), 0, 1)
+
+    def act(weights: np.ndarray) -> np.ndarray:
+        return np.clip(1.05 * (weights + 0.2 * np.roll(weights, -1, axis=1)), 0, 1)
+
+    source, names = np.hstack([both, other]), tuple("abcdefghijkl")
+    trained = train_retargeting(pairs_of(source, shape_controls(names, act(source)), names))
+    one_side = np.hstack([both, 0 * both])
+    error = retarget(trained, one_side).weights - act(one_side)
+    assert np.linalg.norm(error) < 0.75 * np.linalg.norm(act(one_side))  # 0.71: half on each side
+    assert trained.method != "additive"
+    additive = next(each for each in trained.scores if each.method == "additive")
+    assert additive.overshoot > trained.scores[0].overshoot + OVERSHOOT_MARGIN
 
 
 def test_halfway_between_two_turned_ears_is_half_the_turn() -> None:
@@ -242,6 +265,18 @@ def test_shapes_and_controls_that_nothing_uses_are_named() -> None:
     assert unused_shapes(pairs) == ("tongueOut",)
     assert constant_controls(pairs) == ("rig/lattice.dfm:curl",)
     assert train_retargeting(pairs, method="ridge").arrays["unused"].tolist() == [0, 0, 0, 1]
+
+
+def test_sides_that_no_pair_moves_apart_are_named() -> None:
+    weights = np.random.default_rng(0).random((8, 1)) * [1, 0.95, 1, 0.2, 0]
+    names = ("smile_L", "smile_R", "blinkLeft", "blinkRight", "jawOpen")
+    pairs = pairs_of(weights, shape_controls(("t",), weights[:, :1]), names)
+    assert inseparable_sides(pairs) == ("smile_L", "smile_R")
+    (told,) = [note for note in pair_notes(pairs) if "both sides" in note]
+    assert told.endswith(
+        "2 source shapes, smile_L, smile_R; one of them alone moves both sides "
+        "of the target: add pairs of one side each"
+    )
 
 
 def test_order_of_pairs_does_not_matter() -> None:

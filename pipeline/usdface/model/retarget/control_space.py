@@ -12,6 +12,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, relative_distances
 from usdface.core.controls import JOINT_WIDTH, Controls, ExpressionPairs
 from usdface.core.errors import InputError
+from usdface.numerics.measure.face_regions import mirrored_shapes
 from usdface.numerics.motion.rotation_space import (
     mean_rotation,
     rotation_vectors,
@@ -88,6 +89,10 @@ LEAST_WEIGHT = 1e-4
 """Weight below which a shape counts as unused."""
 
 
+_ALIKE_SHARE = 0.1
+"""[of a shape's largest weight] Largest difference of sides that move alike."""
+
+
 @dataclass(frozen=True)
 class PairConflict:
     """Two pairs whose sources are almost the same and whose targets are not."""
@@ -144,6 +149,15 @@ def moving_shapes(pairs: ExpressionPairs) -> BoolArray:
 def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
     """Return the source shapes that are the same in every pair."""
     return tuple(np.array(pairs.source_shapes)[~moving_shapes(pairs)].tolist())
+
+
+def inseparable_sides(pairs: ExpressionPairs) -> tuple[str, ...]:
+    """Return the source shapes that move as those of the other side do in every pair."""
+    other = mirrored_shapes(pairs.source_shapes)
+    apart = np.abs(pairs.source - pairs.source[:, other]).max(axis=0)
+    alike = apart <= _ALIKE_SHARE * np.abs(pairs.source).max(axis=0)
+    alike &= moving_shapes(pairs) & (other != np.arange(len(other)))
+    return tuple(np.array(pairs.source_shapes)[alike].tolist())
 
 
 def constant_controls(pairs: ExpressionPairs) -> tuple[str, ...]:

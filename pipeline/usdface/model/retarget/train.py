@@ -1,7 +1,9 @@
 """Training and application of a retargeting: from source weights to target controls, and back.
 
 `auto` chooses the regression with the smallest round-trip error, source to target to source (S11,
-Song et al. 2011, section 6.3), on mixtures of the pairs or on a performance.
+Song et al. 2011, section 6.3), on mixtures of the pairs or on a performance. A map that amplifies
+what the pairs hardly show, such as differences of the sides, is inverted exactly; so regressions
+are left out by which parts of an expression move the target farther than all of it.
 """
 
 from dataclasses import dataclass
@@ -24,7 +26,10 @@ from usdface.model.retarget.control_space import (
 )
 
 PROBE_COUNT = 384
-"""Number of mixtures of pairs on which round-trip errors are measured."""
+"""Number of mixtures of pairs on which round-trip errors are measured, and of parts of pairs."""
+
+OVERSHOOT_MARGIN = 0.1
+"""Overshoot beyond the least of all candidates, from which a regression is not chosen."""
 
 _MOST_FRAMES = 768
 """Maximum number of frames of a performance on which they are measured instead."""
@@ -39,7 +44,8 @@ _LEAST_SINGULAR = 0.01
 """Smallest singular value of pairs that spans a direction, relative to the largest."""
 
 PAIR_ERROR_DIGITS = 9
-"""Decimals of errors at the pairs; further ones are rounding, which depends on the machine."""
+"""Decimals of errors at the pairs and overshoots; further ones are rounding, which depends on the
+machine."""
 
 _EARLIER_NAMES = {"width": "source_width", "offset": "intercept"}
 """Current names of kernel CCA's arrays, by their names in earlier versions."""
@@ -115,8 +121,15 @@ def train_retargeting(
         fitted = _fit(each, settings, examples)
         tried.append((_score(fitted, examples, probes, surface), fitted))
         progress(number / len(candidates), f"tried {each}")
-    equal = min(score.cyclic_mm for score, _ in tried) + EQUAL_ROUND_TRIP_MM
-    tried.sort(key=lambda item: (max(item[0].cyclic_mm, equal), item[0].pair_error))
+    limit = min(score.overshoot for score, _ in tried) + OVERSHOOT_MARGIN
+    kept = [score.cyclic_mm for score, _ in tried if score.overshoot <= limit]
+    equal = min(kept) + EQUAL_ROUND_TRIP_MM
+
+    def rank(item: tuple[RetargetScore, _Fit]) -> tuple[bool, float, float]:
+        score = item[0]
+        return score.overshoot > limit, max(score.cyclic_mm, equal), score.pair_error
+
+    tried.sort(key=rank)
     best = tried[0][1]
     return Retargeting(
         method=best.method,
@@ -216,7 +229,7 @@ def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
         seen.setdefault(
             score.method,
             f"{score.method}{settings}: round trip {score.cyclic_mm:.4f}, error at the pairs "
-            f"{score.pair_error:.4f} of their range",
+            f"{score.pair_error:.4f} of their range, overshoot {score.overshoot:.0%}",
         )
     return tuple(seen.values())
 
@@ -357,7 +370,21 @@ def _score(
         settings=settings,
         cyclic_mm=_mean_distance(error, surface),
         pair_error=round(float(np.sqrt((residual**2).mean())), PAIR_ERROR_DIGITS),
+        overshoot=_overshoot(fitted, examples),
     )
+
+
+def _overshoot(fitted: _Fit, examples: Examples) -> float:
+    """Return `RetargetScore.overshoot`, of parts of about half of the shapes."""
+    rng = np.random.default_rng(0)
+    rows = rng.integers(len(examples.source), size=PROBE_COUNT)
+    parts = examples.source[rows] * (rng.random((PROBE_COUNT, len(examples.used))) < 0.5)
+    whole = examples.target[rows] / examples.spans
+    moved = _forward(fitted, examples, parts + examples.source_rest) - examples.target_rest
+    moved /= examples.spans
+    beyond = moved - np.clip(moved, np.minimum(whole, 0), np.maximum(whole, 0))
+    share = np.sqrt((beyond**2).sum() / max(float((whole**2).sum()), 1e-12))
+    return round(float(share), PAIR_ERROR_DIGITS)
 
 
 def _mean_distance(error: FloatArray, surface: FloatArray | None) -> float:

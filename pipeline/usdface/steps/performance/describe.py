@@ -41,10 +41,10 @@ def describe_mapping(path: Path) -> StepResult:
 
 def _describe_retargeting(path: Path) -> StepResult:
     trained = read_retargeting(path)
-    head = ("method", "round trip", "pairs missed, of range", "settings")
+    head = ("method", "round trip", "pairs missed, of range", "overshoot", "settings")
     tried = [
-        (score.method, f"{score.cyclic_mm:.4f}", f"{score.pair_error:.4f}", score.settings)
-        for score in trained.scores
+        (s.method, f"{s.cyclic_mm:.4f}", f"{s.pair_error:.4f}", f"{s.overshoot:.0%}", s.settings)
+        for s in trained.scores
     ]
     return StepResult(
         (),

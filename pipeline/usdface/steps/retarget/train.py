@@ -16,6 +16,7 @@ from usdface.model.retarget.control_space import (
     check_pairs,
     constant_controls,
     find_pair_conflicts,
+    inseparable_sides,
     unused_shapes,
 )
 from usdface.model.retarget.cyclic import sampled_displacements
@@ -210,6 +211,11 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
     ):
         if names:
             notes.append(f"{what}: {counted(names, noun)}")
+    if alike := inseparable_sides(pairs):
+        notes.append(
+            f"both sides move alike in every pair: {counted(alike, 'source shape')}; one of them "
+            "alone moves both sides of the target: add pairs of one side each"
+        )
     return notes
 
 
