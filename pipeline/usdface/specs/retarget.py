@@ -23,7 +23,8 @@ class PairsProposeSpec(Spec):
     """Propose pairs of corresponding expressions of two characters.
 
     Shapes are matched by the meaning of their names (`usdface names` shows the pairs), the others
-    by how they deform the face. Keyed pairs are kept, and existing pairs keep their time codes.
+    by how they deform the face. Keyed and imported pairs are kept at their time codes, and
+    proposals of earlier runs replaced.
     """
 
     example = "usdface pairs propose --source human.usd --target dog.usd --out human_dog.pairs.usda"

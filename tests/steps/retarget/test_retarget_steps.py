@@ -241,6 +241,26 @@ def test_pairs_are_proposed_by_name_and_by_hand_keyed_ones_stay(stall: Stall, ca
     assert proposed_path(Path("p.pairs.usda")).is_file()
 
 
+def test_proposals_of_an_earlier_run_are_replaced_and_imported_pairs_stay(
+    stall: Stall, capsys
+) -> None:
+    line = "pairs propose --source human.usda --target beast.usda --out p.pairs.usda"
+    assert usdface(*line.split(), "--match", "name") == 0
+    Path("n.csv").write_text("source,target,weight\nsmile,eyeBlink,0.5\njawOpen,jawOpen,1\n")
+    named = (*line.split(), "--names", "n.csv", "--overwrite")
+    assert usdface(*named) == 0
+    pairs = read_pairs(Path("p.pairs.usda"))
+    assert pairs.names == ("rest", "jawOpen", "smile")
+    np.testing.assert_array_equal(pairs.target.weights[2], [0, 0.5, 0])
+    attributes = {"attributes": "rig/lattice.dfm:*", "out": "p.pairs.usda"}
+    assert import_pairs("--overwrite", **attributes) == 0
+    named = (*named, "--attributes", attributes["attributes"])
+    for _ in range(2):
+        assert usdface(*named) == 0
+        assert read_pairs(Path("p.pairs.usda")).names[29:] == ("frame 30", *pairs.names)
+    assert "kept 30 pairs at their time codes" in capsys.readouterr().out
+
+
 def test_nothing_is_proposed_where_keys_made_by_hand_would_hide_it(stall: Stall, capsys) -> None:
     line = "pairs propose --source human.usda --target beast.usda --out p.pairs.usda --match name"
     assert usdface(*line.split()) == 0

@@ -25,6 +25,9 @@ from usdface.usdio.retarget.controls import (
 from usdface.usdio.retarget.pairs import keyed_above, write_pairs
 from usdface.usdio.rig.read import read_rig
 
+IMPORTED_NAME = "frame "
+"""Beginning of the names of imported pairs, before the number of the frame."""
+
 
 def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Read both sides, pair them by frame, and write the asset."""
@@ -46,7 +49,7 @@ def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) ->
     progress(0.5, "read")
     order = [frames.index(frame) for frame in table.frames]
     pairs = ExpressionPairs(
-        names=tuple(f"frame {frame}" for frame in table.frames),
+        names=tuple(f"{IMPORTED_NAME}{frame}" for frame in table.frames),
         source_shapes=source_rig.shapes,
         source=table.columns(source_rig.shapes),
         target=target.rows(order),

@@ -34,6 +34,7 @@ from usdface.steps.inputs.source_motion import (
     transfer_by_table,
     write_name_table,
 )
+from usdface.steps.retarget.pairs_import import IMPORTED_NAME
 from usdface.usdio.retarget.controls import rest_controls
 from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, write_pairs
 from usdface.usdio.rig.read import read_rig
@@ -56,19 +57,8 @@ def run(spec: PairsProposeSpec, *, provenance: Provenance, progress: Progress) -
     pairs = _pairs(shapes, source, target, matches, rest)
     kept = 0
     if spec.out.is_file():
-        old = read_pairs(spec.out)
-        kept = len(old)
-        with as_input_error(spec.out, of=InputError):
-            merged = merge_pairs(old, pairs)
-        keyed = keyed_above(spec.out)
-        if keyed and len(merged) > kept:
-            notes.append(
-                f"left out {pluralize(len(merged) - kept, 'new pair')} "
-                f"({first_few(merged.names[kept:], most=3)}): keys made by hand, of {keyed[0]}, "
-                "hide proposals at every time code; key these pairs there, or propose to another "
-                "--out"
-            )
-        pairs = old if keyed else merged
+        pairs, kept, merge_notes = _with_existing(spec.out, pairs)
+        notes += merge_notes
     progress(0.9, f"writing {spec.out.name}")
     write_pairs(spec.out, pairs, source_rig=source, target_rig=target, provenance=provenance)
     dead = constant_controls(pairs)
@@ -239,6 +229,30 @@ def _pairs(
         target_rig=target.file,
         target_prim=target.prim,
     )
+
+
+def _with_existing(path: Path, new: ExpressionPairs) -> tuple[ExpressionPairs, int, list[str]]:
+    """Return the pairs of an asset that were imported or keyed, their number, new ones, and notes.
+
+    Keys hide proposals at every time code: there all stay, and no new one is added.
+    """
+    old, keyed = read_pairs(path), keyed_above(path)
+    if not keyed:
+        imported = [i for i, name in enumerate(old.names) if name.startswith(IMPORTED_NAME)]
+        old = old.rows(np.array(imported, dtype=np.int64))
+    kept = len(old)
+    if not kept:
+        return new, 0, []
+    with as_input_error(path, of=InputError):
+        merged = merge_pairs(old, new)
+    if not keyed or len(merged) == kept:
+        return merged, kept, []
+    note = (
+        f"left out {pluralize(len(merged) - kept, 'new pair')} "
+        f"({first_few(merged.names[kept:], most=3)}): keys made by hand, of {keyed[0]}, hide "
+        "proposals at every time code; key these pairs there, or propose to another --out"
+    )
+    return old, kept, [note]
 
 
 _TABLES = (".csv", ".json")
