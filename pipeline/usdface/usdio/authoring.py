@@ -47,6 +47,22 @@ def prim_in_scope(stage: Usd.Stage, type_name: str) -> Usd.Prim | None:
     return next((prim for prim in prims if prim and prim.GetTypeName() == type_name), None)
 
 
+def trained_prim(path: Path, stage: Usd.Stage, type_name: str) -> Usd.Prim:
+    """Return the prim of a mapping or retargeting; of pairs, say which command trains on them."""
+    prim, root = prim_in_scope(stage, type_name), stage.GetDefaultPrim()
+    if prim is not None:
+        return prim
+    kind = type_name.removeprefix("Face").lower()
+    command = "train" if kind == "mapping" else "train-retarget"
+    cause = f"no {type_name} is its default prim or in it; make one with `usdface {command}`"
+    if root and root.GetName() in ("Pairs", "References"):
+        command = "train-retarget" if root.GetName() == "Pairs" else "train"
+        if command == "train" and root.GetChild("Source"):  # weights, of takes without markers
+            command = "train-retarget --references"
+        cause = f"it holds pairs, to train on with `usdface {command}`"
+    raise InputError(f"{path}: not a {kind}: {cause}")
+
+
 def read_training(
     path: Path, prim: Usd.Prim, schema: str, candidate: Callable[..., TrainingScore]
 ) -> tuple[dict[str, Any], tuple[TrainingScore, ...]]:

@@ -18,10 +18,10 @@ from usdface.usdio.authoring import (
     define_in_scope,
     doubles,
     key_times,
-    prim_in_scope,
     read_arrays,
     read_training,
     shaped,
+    trained_prim,
     value_of,
 )
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types
@@ -60,12 +60,7 @@ def write_mapping(path: Path, mapping: TrainedMapping, *, provenance: Provenance
 def read_mapping(path: Path) -> TrainedMapping:
     """Read a mapping."""
     stage = open_stage(path)
-    prim = prim_in_scope(stage, "FaceMapping")
-    if prim is None:
-        raise InputError(
-            f"{path}: not a mapping: no FaceMapping is its default prim or in it; make one with "
-            "`usdface train`"
-        )
+    prim = trained_prim(path, stage, "FaceMapping")
     settings, scores = read_training(path, prim, "mapping", CandidateScore)
     markers, shapes, rigid = (
         tuple(map(str, _value(path, prim, name))) for name in ("markers", "channels", "rigid")

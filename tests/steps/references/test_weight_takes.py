@@ -15,17 +15,20 @@ from tests.usdio.small_rig import small_rig
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import proposed_path
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesAddSpec, ReferenceSheetSpec, SelectSpec
 from usdface.specs.retarget import PairsProposeSpec, RetargetSpec, TrainRetargetSpec
 from usdface.specs.review import ReportSpec
+from usdface.steps.performance.describe import describe_mapping
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references, take_files
 from usdface.usdio.references.weight_layers import read_keyed_references
 from usdface.usdio.retarget.pairs import read_pairs
+from usdface.usdio.retarget.retargeting import read_retargeting
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
@@ -104,6 +107,28 @@ def test_what_is_said_of_markers_is_refused(shot: Shot, folder: Path) -> None:
     given = {"references": folder / "phone.references.usda", "out": folder / "x.usdc"}
     with pytest.raises(InputError, match=r"no markers; use it with `usdface train-retarget"):
         execute(TrainSpec(**given))
+
+
+def test_a_layer_of_pairs_is_described_by_the_command_that_trains_on_it(
+    finished_shot: Shot, folder: Path
+) -> None:
+    pairs, rig = folder / "phone.pairs.usda", folder / "rig.usda"
+    execute(select(folder))
+    execute(PairsProposeSpec(source=folder / "phone.take.usda", target=rig, out=pairs))
+    for path, command in (
+        (pairs, "train-retarget"),
+        (proposed_path(pairs), "train-retarget"),
+        (folder / "phone.references.usda", "train-retarget --references"),
+        (finished_shot / "hero.references.usda", "train"),
+    ):
+        with pytest.raises(
+            InputError, match=f"it holds pairs, to train on with `usdface {command}`"
+        ):
+            describe_mapping(path)
+    with pytest.raises(InputError, match="not a retargeting: it holds pairs, to train on with"):
+        read_retargeting(pairs)
+    with pytest.raises(InputError, match="not a mapping: no FaceMapping is"):
+        describe_mapping(rig)
 
 
 def test_a_retargeting_passes_through_the_tuned_pairs(folder: Path) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from pxr import Sdf, Usd
 
 from usdface.core.controls import JOINT_WIDTH, Retargeting, RetargetScore
-from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.usdio.authoring import (
     author_arrays,
@@ -20,6 +19,7 @@ from usdface.usdio.authoring import (
     read_training,
     shaped,
     text_of,
+    trained_prim,
     value_of,
 )
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types, relative_path
@@ -66,12 +66,7 @@ def is_retargeting(path: Path) -> bool:
 def read_retargeting(path: Path) -> Retargeting:
     """Read a retargeting."""
     stage = open_stage(path)
-    prim = prim_in_scope(stage, TYPE)
-    if prim is None:
-        raise InputError(
-            f"{path}: not a retargeting: no {TYPE} is its default prim or in it; make one with "
-            "`usdface train-retarget`"
-        )
+    prim = trained_prim(path, stage, TYPE)
     settings, scores = read_training(path, prim, "retargeting", RetargetScore)
     asset = str(getattr(value_of(prim, "face:retargeting:rig"), "path", ""))
     source, shapes, joints, attributes = (
