@@ -385,6 +385,18 @@ def test_a_sequence_is_put_in_and_the_rest_stays_to_the_last_bit(
     assert read_image_metadata(Path("warp.png"))["step"] == "warp"
 
 
+def test_a_blink_at_the_end_of_a_sequence_is_played_whole(stall: Stall) -> None:
+    sequence_and_matches(stall)
+    closing = np.interp(np.arange(FRAMES) + FIRST, [188, 190, 191, 195], [0, 1, 1, 0])
+    acted = creature_acts(np.column_stack([np.zeros(FRAMES), closing, np.zeros(FRAMES)]))
+    write_creature_performance(Path("beast.shot.usda"), stall.beast, acted, first=FIRST)
+    line = "warp beast.shot.usda --matches shot.matches.usda --out w.usda --timing fit --blend 6"
+    assert usdface(*line.split()) == 0
+    lids = read_control_clip(Path("w.usda")).controls.weights[:, 1]
+    np.testing.assert_allclose(lids[188 - FIRST :], closing[188 - FIRST :], atol=0.02)
+    assert lids[170 - FIRST] == pytest.approx(0.6, abs=0.02), "the sequence's"
+
+
 def test_a_sequence_of_another_rate_lasts_as_long(performed: Stall, capsys) -> None:
     sequence_and_matches(performed)
     assert "resampled" not in capsys.readouterr().out

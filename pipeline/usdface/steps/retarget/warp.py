@@ -10,6 +10,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import ControlClip, Controls, EmotionalSequence, SequenceMatch
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
@@ -22,7 +23,10 @@ from usdface.media.charts.motion_curves import (
     windows_around,
 )
 from usdface.media.picture.image import write_image
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.control_space import ControlSpace, control_space
+from usdface.numerics.measure.face_regions import shapes_by_region
+from usdface.numerics.motion.blink_cuts import keep_blinks
 from usdface.numerics.motion.laplacian_warp import (
     Insertion,
     ease_weights,
@@ -77,6 +81,11 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     before = space.encode(read.controls)
     progress(0.3, "warping")
     insertions = [_insertion(spec, each, read, space, before) for each in placements]
+    lids = shapes_by_region(shape_parts(rig, Deformer(rig))).get("lids", ())
+    columns = [column for column, name in enumerate(space.shapes) if rig.shapes.index(name) in lids]
+    insertions = keep_blinks(
+        before, insertions, np.array(columns, int), rate=float(read.rate), blend=spec.blend
+    )
     keep = math.inf if spec.outside == "exact" else PUBLISHED_KEEP
     after = warp_motion(before, insertions, blend=spec.blend, keep=keep)
     # Weights stay in the ranges of the rig, the performance and the sequences together.
