@@ -88,7 +88,7 @@ def open_layer(path: Path) -> Sdf.Layer:
 
 
 def _check_schema(layer: Sdf.Layer, path: Path) -> None:
-    schema = _usdface_data(layer).get("schema", 0)
+    schema = usdface_data(layer).get("schema", 0)
     if isinstance(schema, int) and schema > SCHEMA_VERSION:
         raise InputError(
             f"{path}: written with usdface schema {schema}, this version knows {SCHEMA_VERSION}; "
@@ -96,7 +96,7 @@ def _check_schema(layer: Sdf.Layer, path: Path) -> None:
         )
 
 
-def _usdface_data(layer: Sdf.Layer) -> dict[str, Any]:
+def usdface_data(layer: Sdf.Layer) -> dict[str, Any]:
     """Return our dictionary in a layer's custom data, or an empty one."""
     data = layer.customLayerData.get("usdface")
     return dict(data) if isinstance(data, dict) else {}
@@ -209,7 +209,7 @@ def read_provenance(path: Path) -> Provenance | None:
     """Return a layer's provenance, or None if this package did not write it."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "reading what it says of its making"):
-        data = _usdface_data(layer)
+        data = usdface_data(layer)
         if "version" not in data:
             return None
         inputs = [data.get(key, ()) for key in ("inputs", "inputHashes")]

@@ -176,6 +176,25 @@ def test_a_sheet_says_what_a_performance_was_retargeted_by(performed: Stall, cap
     assert describe_retarget(Path("shot.usda")) == ""
 
 
+def test_a_control_held_by_the_pose_of_the_pairs_is_not_stuck(stall: Stall) -> None:
+    """Its pose at rest is 0.3, to which it returns, or in which every pair holds it."""
+    for gain, told in ((0.5, ""), (0.0, "1 shape without any motion: smile; if the pairs do not")):
+        keyed = creature_acts(poses())
+        keyed.weights[:, 2] = 0.3 + gain * poses()[:, 2]
+        write_creature_performance(Path("beast_poses.usda"), stall.beast, keyed)
+        moves = np.tile(human_moves(100), (5, 1))
+        moves[np.r_[80:200, 330:480], 2] = 0
+        write_human_performance(Path("long.usda"), stall.human, moves, first=FIRST)
+        assert import_pairs("--overwrite") == 0
+        train = "train-retarget x.pairs.usda --out x.retarget.usdc --overwrite --method additive"
+        line = "retarget long.usda --retargeting x.retarget.usdc --out beast.shot.usda --overwrite"
+        assert usdface(*train.split()) == 0
+        assert usdface(*line.split()) == 0
+        found = [each.message for each in validate(Path("beast.shot.usda"))]
+        found = [each for each in found if "smile" in each]
+        assert [told in each for each in found] == [True] * bool(told), found
+
+
 def test_edits_are_told_of_when_a_target_is_retargeted_or_warped_again(
     performed: Stall, capsys
 ) -> None:

@@ -10,6 +10,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.numerics.measure.face_regions import mirrored_shapes
 from usdface.usdio.authoring import read_gaps, value_of
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
+from usdface.usdio.layers import usdface_data
 from usdface.usdio.rig.read import RANGE_ATTRIBUTE, shape_prims
 
 
@@ -131,8 +132,10 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
             inside |= (samples.times >= first) & (samples.times <= last)
         captured = ~(inside[1:] | inside[:-1])
         found += [*_jumps(samples), *_frozen(samples, captured)]
-        found += _stuck(samples, ranges, captured)
-        found += [*_motionless(samples), *_side_swaps(samples)]
+        moving = np.ptp(samples.values, axis=0) > FROZEN_CHANGE
+        by_pairs = _is_retargeted(prim)  # shapes that do not move are then at the pose of the pairs
+        found += _stuck(samples, ranges, captured, among=moving | (not by_pairs))
+        found += [*_motionless(samples, moving, by_pairs), *_side_swaps(samples)]
     return found
 
 
@@ -205,18 +208,28 @@ def _frozen(samples: Samples, captured: BoolArray) -> list[Fault]:
     ]
 
 
-def _stuck(samples: Samples, ranges: FloatArray, captured: BoolArray) -> Iterator[Fault]:
+def _is_retargeted(prim: Usd.Prim) -> bool:
+    stack = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetPropertyStack()
+    return any(usdface_data(each.layer).get("step") in ("retarget", "warp") for each in stack)
+
+
+def _stuck(
+    samples: Samples, ranges: FloatArray, captured: BoolArray, *, among: BoolArray
+) -> Iterator[Fault]:
     """Find the longest stretch of each shape at one value while others move."""
     still = np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE
     moving = ~still.all(axis=1) & captured
     inside = np.minimum(samples.values - ranges[:, 0], ranges[:, 1] - samples.values)
     inside = np.minimum(inside, np.abs(samples.values))
-    for column in np.flatnonzero(still.any(axis=0)):
+    for column in np.flatnonzero(still.any(axis=0) & among):
         stuck: BoolArray = still[:, column] & moving & (inside[1:, column] > RANGE_TOLERANCE)
         stretches = _stretches(samples, stuck, STUCK_SECONDS)
         if stretches:
             first, last, seconds = max(stretches, key=lambda stretch: stretch[2])
             value = samples.values[np.searchsorted(samples.times, last), column]
+            held = still[:, column] & (np.abs(samples.values[1:, column] - value) <= FROZEN_CHANGE)
+            if len(_stretches(samples, held, FROZEN_SECONDS)) > 1:
+                continue  # a pose to which it returns
             yield samples.warning(
                 f"time codes {first:g} to {last:g}: {samples.names[column]} stays at "
                 f"{value:.2f} for {seconds:.1f} s while the face moves; if no edit holds it, "
@@ -237,17 +250,19 @@ def _stretches(
     return found
 
 
-def _motionless(samples: Samples) -> list[Fault]:
+def _motionless(samples: Samples, moving: BoolArray, by_pairs: bool) -> list[Fault]:
     seconds = (samples.times[-1] - samples.times[0]) / samples.rate
-    moving = np.ptp(samples.values, axis=0) > FROZEN_CHANGE
     still = ~moving & (np.abs(samples.values[0]) > RANGE_TOLERANCE)  # 0: not in any reference
     if seconds < MOTIONLESS_SECONDS or not still.any() or not moving.any():
         return []
     motionless = [samples.names[column] for column in np.flatnonzero(still)]
+    remedy = "tune references that show movement there, or leave such shapes out of the mapping"
+    if by_pairs:
+        remedy = "if the pairs do not hold them there on purpose, key pairs that move them"
     return [
         samples.warning(
             f"{pluralize(len(motionless), 'shape')} without any motion: {first_few(motionless)}; "
-            "tune references that show movement there, or leave such shapes out of the mapping"
+            f"{remedy}"
         )
     ]
 
