@@ -8,11 +8,14 @@ import pytest
 
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs, shape_controls
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.name_matching import transfer_by_names
-from usdface.model.retarget.pair_doubts import find_pair_doubts
+from usdface.model.retarget.pair_doubts import find_pair_doubts, find_unkeyed_regions
+from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.usdio.rig.read import read_rig
 
 
@@ -77,6 +80,28 @@ def test_a_pair_that_moves_attributes_is_not_judged(faces: tuple[Rig, Rig]) -> N
     wrong = keyed(pairs, weights)
     by_attribute = replace(wrong.target, attributes=("rig.jaw",), values=values)
     assert find_pair_doubts(replace(wrong, target=by_attribute), *faces) == ()
+
+
+def test_regions_that_the_source_moves_and_no_pair_keys_are_named(faces: tuple[Rig, Rig]) -> None:
+    pairs = pairs_by_name(*faces)
+    parts = [shape_parts(rig, Deformer(rig)) for rig in faces]
+    assert find_unkeyed_regions(pairs, *parts) == {}
+    brows = shapes_by_region(parts[1])["brows"]
+    weights = pairs.target.weights.copy()
+    weights[:, brows] = 0.1
+    rest = keyed(pairs, weights)
+    (found,) = find_unkeyed_regions(rest, *parts).items()
+    assert found[0] == "brows"
+    moved, controls = found[1]
+    assert [faces[0].shapes[i] for i in np.flatnonzero(moved)] == [
+        name for name in faces[0].shapes if "brow" in name.lower()
+    ]
+    assert controls == tuple(faces[1].shapes[i] for i in brows)
+    still = replace(rest, source=rest.source * ~moved)
+    assert find_unkeyed_regions(still, *parts) == {}
+    values = rest.source[:, :1]
+    by_attribute = replace(rest.target, attributes=("rig.brows",), values=values)
+    assert find_unkeyed_regions(replace(rest, target=by_attribute), *parts) == {}
 
 
 def test_right_pairs_of_heads_of_two_makers_are_not_doubted(shared_data: Path) -> None:

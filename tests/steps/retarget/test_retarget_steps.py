@@ -702,7 +702,7 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     assert "in no pair and without effect: 1 source shape, eyeBlink" in capsys.readouterr().out
     line = "retarget shot.usda --retargeting x.retarget.usdc"
     assert usdface(*line.split(), "--out", "b.usda") == 0
-    assert "are in no pair, so the target does not follow: eyeBlink" in capsys.readouterr().out
+    assert "on the target, so the target does not follow: eyeBlink" in capsys.readouterr().out
     words = describe_retarget(Path("b.usda"))
     assert words == "a retarget of 30 pairs, keyed by hand; eyeBlink moves and is not followed"
     whole = PerformanceReader(Path("b.usda")).header
@@ -722,8 +722,32 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     line = "retarget phone.csv --rate 24 --retargeting x.retarget.usdc --out c.usda"
     assert usdface(*line.split()) == 0  # the source's own spelling
     told = capsys.readouterr().out
-    assert "in no pair, so the target does not follow: EyeBlink" in told
+    assert "on the target, so the target does not follow: EyeBlink" in told
     assert "Do not use" in told
+
+
+def test_a_region_that_no_pair_keys_is_named_at_training_at_work_and_in_the_verdict(
+    stall: Stall, capsys
+) -> None:
+    resting = poses() * [1, 0, 1] + [0, 0.2, 0]
+    write_human_performance(stall / "t.usda", stall.human, resting, first=1)
+    rigs = "--source-rig human.usda --target-rig human.usda --out x.pairs.usda"
+    line = f"pairs import --source human_poses.usda --target t.usda {rigs}"
+    assert usdface(*line.split()) == 0
+    capsys.readouterr()
+    assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["figures"]["unkeyed"] == {"lids": ["eyeBlink"]}
+    assert (
+        "lids: the source moves there, and the target rests in every pair, at 1 control, eyeBlink: "
+        "it will not follow; key them in these pairs"
+    ) in told["notes"]
+    line = "retarget shot.usda --retargeting x.retarget.usdc --out b.usda"
+    assert usdface(*line.split()) == 0
+    assert "on the target, so the target does not follow: eyeBlink" in capsys.readouterr().out
+    assert describe_retarget(Path("b.usda")).endswith("; eyeBlink moves and is not followed")
+    (found,) = (each.message for each in validate(Path("b.usda")) if "Names" in each.check)
+    assert re.search("shapes of the source move and have no counterpart.*: eyeBlink", found)
 
 
 def test_bake_names_the_layer_of_joints_and_attributes(performed: Stall, capsys) -> None:

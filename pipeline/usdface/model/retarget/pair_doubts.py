@@ -1,10 +1,11 @@
-"""Pairs of which the target looks like another pair's source, and not like its own.
+"""Pairs of which the target looks like another pair's source, and not like its own; or rests.
 
 A regression interpolates a wrong pair like any other, and neither the round trip nor the other
 pairs contradict it. The surfaces do: aligned to each other, two faces with the same expression
 deform alike, even a face with a muzzle.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.retarget.control_space import LEAST_WEIGHT
 from usdface.model.retarget.face_correspondence import correspond, unit_fields
+from usdface.numerics.measure.face_regions import shapes_by_region
 
 _LARGEST_OWN = 0.35
 _LEAST_OTHER = 0.6
@@ -25,6 +27,9 @@ exchanged at random 312."""
 
 _LEAST_MOTION = 0.05
 """Displacement of an expression, relative to the median pair's, below which it is not judged."""
+
+_LEAST_SOURCE = 0.1
+"""Difference of a source shape's weights over the pairs, from which the target is to follow it."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,32 @@ def find_pair_doubts(pairs: ExpressionPairs, source: Rig, target: Rig) -> tuple[
         for pair in doubted
     ]
     return tuple(sorted(found, key=lambda each: each.own - each.similarity))
+
+
+def find_unkeyed_regions(
+    pairs: ExpressionPairs, source_parts: Sequence[str], target_parts: Sequence[str]
+) -> dict[str, tuple[BoolArray, tuple[str, ...]]]:
+    """Return the regions that move in the source, and of which every control of the target rests.
+
+    By region: which source shapes move there, (ns,), and the target's shapes. A target that moves
+    joints or attributes has none, as these may be of any region.
+
+    Parameters
+    ----------
+    source_parts, target_parts : sequence of str
+        A name for each shape from which its region can be read (`shape_parts`).
+    """
+    if not _shapes_alone(pairs.target, 0).all():
+        return {}
+    moving = np.ptp(pairs.source, axis=0) > _LEAST_SOURCE
+    resting = np.ptp(pairs.target.weights, axis=0) < LEAST_WEIGHT
+    sources, targets = shapes_by_region(source_parts), shapes_by_region(target_parts)
+    found = {}
+    for region in [each for each in sources if each in targets]:
+        moved = moving & np.isin(np.arange(len(moving)), sources[region])
+        if moved.any() and resting[targets[region]].all():
+            found[region] = moved, tuple(pairs.target.shapes[i] for i in targets[region].tolist())
+    return found
 
 
 def _moves(fields: FloatArray) -> BoolArray:

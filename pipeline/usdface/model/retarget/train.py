@@ -145,6 +145,7 @@ def train_retargeting(
             "source_rest": examples.source_rest,
             "target_units": examples.units,
             "unused": 1 - examples.used,
+            "unfollowed": np.zeros(len(examples.used)),
             "pair_span": _span(examples.source),
         },
         settings=best.settings,

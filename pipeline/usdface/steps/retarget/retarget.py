@@ -188,8 +188,8 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
     if dead:
         notes = (
             *notes,
-            f"{len(dead)} source shapes move but are in no pair, so the target does not follow: "
-            f"{first_few(dead)}",
+            f"{len(dead)} source shapes move but are in no pair, or in a region that no pair keys "
+            f"on the target, so the target does not follow: {first_few(dead)}",
         )
     notes = (*notes, *_unspanned(trained, motion.weights @ transfer.matrix))
     unmatched = unmatched_moving(transfer, motion)
@@ -272,12 +272,16 @@ def _write(
 def _dead(
     spec: RetargetSpec, trained: Retargeting, motion: SourceMotion, transfer: Transfer
 ) -> tuple[str, ...]:
-    """Return moving source shapes that no pair uses; refuse a motion of such shapes only."""
+    """Return moving source shapes that are in no pair, or in a region that no pair keys.
+
+    A motion of shapes that are in no pair is refused.
+    """
     columns = motion.weights @ transfer.matrix
     moving = np.abs(columns).max(axis=0, initial=0.0) > MOVING_WEIGHT
     unused = trained.arrays["unused"] > 0
     linked = transfer.matrix != 0
-    dead = linked.any(axis=1) & ~linked[:, ~unused].any(axis=1)
+    silent = unused | (trained.arrays["unfollowed"] > 0)
+    dead = linked.any(axis=1) & ~linked[:, ~silent].any(axis=1)
     lost = {name for name, each in zip(transfer.source, dead, strict=True) if each}
     names = tuple(name for name in motion.shares if name in lost)
     if names and not (moving & ~unused).any():

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, columns_by_name
+from usdface.core.arrays import BoolArray, FloatArray, columns_by_name
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs, Retargeting, shape_controls
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import counted, first_few, pluralize
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.control_space import (
     check_pairs,
     constant_controls,
@@ -21,7 +23,11 @@ from usdface.model.retarget.control_space import (
 )
 from usdface.model.retarget.cyclic import sampled_displacements
 from usdface.model.retarget.name_matching import transfer_by_names
-from usdface.model.retarget.pair_doubts import PairDoubt, find_pair_doubts
+from usdface.model.retarget.pair_doubts import (
+    PairDoubt,
+    find_pair_doubts,
+    find_unkeyed_regions,
+)
 from usdface.model.retarget.train import (
     describe_retargeting_figures,
     retargeting_table,
@@ -51,8 +57,13 @@ def run(spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress) 
     check_pairs(pairs, str(spec.pairs))
     notes += pair_notes(pairs)
     progress(0.0, "comparing the faces of the pairs")
-    doubts = _doubts(pairs)
-    notes += _doubt_notes(pairs, doubts)
+    source = _rig(pairs.source_rig, pairs.source_prim)
+    target = _rig(pairs.target_rig, pairs.target_prim)
+    doubts = _doubts(pairs, source, target)
+    unkeyed = find_unkeyed_regions(
+        pairs, _parts(source, pairs.source_shapes), _parts(target, pairs.target.shapes)
+    )
+    notes += [*_doubt_notes(pairs, doubts), *_unkeyed_notes(unkeyed)]
     performance = None
     if spec.source is not None:
         motion = read_source_motion(spec.source)
@@ -73,6 +84,8 @@ def run(spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress) 
         published=spec.published,
         progress=progress,
     )
+    for moved, _ in unkeyed.values():
+        trained.arrays["unfollowed"] += moved
     trained = replace(trained, pairs=spec.pairs.name)
     write_retargeting(spec.out, trained, provenance=provenance)
     return StepResult(
@@ -89,6 +102,7 @@ def run(spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress) 
             "unused": list(unused_shapes(pairs)),
             "conflicts": [[each.first + 1, each.second + 1] for each in find_pair_conflicts(pairs)],
             "doubted": [each.pair + 1 for each in doubts],
+            "unkeyed": {region: list(controls) for region, (_, controls) in unkeyed.items()},
         },
         table=retargeting_table(trained),
     )
@@ -168,11 +182,25 @@ def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
     return np.stack([np.minimum(ranges[:, 0], low), np.maximum(ranges[:, 1], high)], axis=1)
 
 
-def _doubts(pairs: ExpressionPairs) -> tuple[PairDoubt, ...]:
+def _parts(rig: Rig | None, shapes: tuple[str, ...]) -> list[str]:
+    """Return names of shapes from which their regions can be read, by the rig if it is known."""
+    parts = dict(zip(rig.shapes, shape_parts(rig, Deformer(rig)), strict=True)) if rig else {}
+    return [parts.get(name, name) for name in shapes]
+
+
+def _unkeyed_notes(unkeyed: dict[str, tuple[BoolArray, tuple[str, ...]]]) -> list[str]:
+    return [
+        f"{region}: the source moves there, and the target rests in every pair, at "
+        f"{counted(controls, 'control')}: it will not follow; key them in these pairs"
+        for region, (_, controls) in unkeyed.items()
+    ]
+
+
+def _doubts(
+    pairs: ExpressionPairs, source: Rig | None, target: Rig | None
+) -> tuple[PairDoubt, ...]:
     """Return pairs that may be wrong; none if the rigs are unknown or cannot be compared."""
     try:
-        source = _rig(pairs.source_rig, pairs.source_prim)
-        target = _rig(pairs.target_rig, pairs.target_prim)
         return find_pair_doubts(pairs, source, target) if source and target else ()
     except InputError:
         return ()

@@ -75,6 +75,7 @@ def read_retargeting(path: Path) -> Retargeting:
     width = len(shapes) + JOINT_WIDTH * len(joints) + len(attributes)
     earlier = {  # what earlier versions did without
         "fit_unused": np.zeros(len(source)),
+        "fit_unfollowed": np.zeros(len(source)),
         "fit_target_units": np.ones(width),
         "fit_pair_span": np.eye(len(source)),
     }
@@ -85,6 +86,7 @@ def read_retargeting(path: Path) -> Retargeting:
         ("ranges", (width, 2)),
         ("fit_source_rest", (len(source),)),
         ("fit_unused", (len(source),)),
+        ("fit_unfollowed", (len(source),)),
         ("fit_target_units", (width,)),
         ("fit_pair_span", (-1, len(source))),
     ):
