@@ -45,7 +45,7 @@ _LOST_WEIGHT = 0.1
 """Smallest weight of a source shape whose loss is reported."""
 
 LISTED_CONFLICTS = 5
-"""Conflicts listed in notes."""
+"""Conflicts, and pairs that may be wrong, listed in notes."""
 
 
 def run(spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
@@ -217,10 +217,6 @@ def _doubt_notes(pairs: ExpressionPairs, doubts: tuple[PairDoubt, ...]) -> list[
             f"{each.similarity:.2f}), and not like its own source ({each.own:.2f}); correct it if "
             "it is keyed wrongly"
         )
-    if len(doubts) > LISTED_CONFLICTS:
-        notes.append(
-            f"and {len(doubts) - LISTED_CONFLICTS} more pairs whose target is unlike its source"
-        )
     return notes
 
 
@@ -241,8 +237,8 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
             notes.append(f"{what}: {counted(names, noun)}")
     if alike := inseparable_sides(pairs):
         notes.append(
-            f"both sides move alike in every pair: {counted(alike, 'source shape')}; one of them "
-            "alone moves both sides of the target: add pairs of one side each"
+            "on both sides alike in every pair, so that one side alone moves both of the target "
+            f"(add pairs of one side): {counted(alike, 'source shape')}"
         )
     return notes
 
