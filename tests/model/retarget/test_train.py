@@ -268,8 +268,8 @@ def test_shapes_and_controls_that_nothing_uses_are_named() -> None:
 
 
 def test_sides_that_no_pair_moves_apart_are_named() -> None:
-    weights = np.random.default_rng(0).random((8, 1)) * [1, 0.95, 1, 0.2, 0]
-    names = ("smile_L", "smile_R", "blinkLeft", "blinkRight", "jawOpen")
+    weights = np.random.default_rng(0).random((8, 1)) * [1, 0.95, 1, 0.2, 0, 1, 1]
+    names = ("smile_L", "smile_R", "blinkLeft", "blinkRight", "jawOpen", "lookUp_L", "lookUp_R")
     pairs = pairs_of(weights, shape_controls(("t",), weights[:, :1]), names)
     assert inseparable_sides(pairs) == ("smile_L", "smile_R")
     (told,) = [note for note in pair_notes(pairs) if "both sides" in note]

@@ -12,7 +12,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, relative_distances
 from usdface.core.controls import JOINT_WIDTH, Controls, ExpressionPairs
 from usdface.core.errors import InputError
-from usdface.numerics.measure.face_regions import mirrored_shapes
+from usdface.numerics.measure.face_regions import gaze_shapes, mirrored_shapes
 from usdface.numerics.motion.rotation_space import (
     mean_rotation,
     rotation_vectors,
@@ -152,11 +152,12 @@ def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
 
 
 def inseparable_sides(pairs: ExpressionPairs) -> tuple[str, ...]:
-    """Return the source shapes that move as those of the other side do in every pair."""
+    """Return the source shapes that move as those of the other side in every pair, without gaze."""
     other = mirrored_shapes(pairs.source_shapes)
     apart = np.abs(pairs.source - pairs.source[:, other]).max(axis=0)
     alike = apart <= _ALIKE_SHARE * np.abs(pairs.source).max(axis=0)
     alike &= moving_shapes(pairs) & (other != np.arange(len(other)))
+    alike[gaze_shapes(pairs.source_shapes)] = False
     return tuple(np.array(pairs.source_shapes)[alike].tolist())
 
 
