@@ -133,7 +133,7 @@ def train_mapping(
     delays = _key_delays(checked, face)
     timed = _remove_key_delays(checked, delays)
     aligned = _remove_take_offsets(timed, face)
-    pair_arrays = _pair_arrays(checked, timed, aligned, delays)
+    pair_arrays = _pair_arrays(checked, timed.markers - aligned.markers)
     checked, face, pose_arrays, pose_error_mm = _remove_pose_errors(aligned, face)
     folds = PairFolds(_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
@@ -159,7 +159,7 @@ def train_mapping(
         arrays={name: np.ascontiguousarray(each, np.float64) for name, each in arrays.items()},
         settings=fitted.settings
         | _region_settings(checked, folds, regions)
-        | _key_settings(folds, checked)
+        | _key_settings(folds, checked, delays)
         | {"pair_takes": json.dumps(sorted(set(checked.takes)), ensure_ascii=False)}
         | {"pose_error_mm": pose_error_mm}
         | {"unobservable_shapes": int((~compared.observable).sum())},
@@ -208,24 +208,17 @@ def _remove_key_delays(references: References, delays: FloatArray) -> References
     return replace(references, markers=markers)
 
 
-def _pair_arrays(
-    references: References, timed: References, aligned: References, delays: FloatArray
-) -> Arrays:
+def _pair_arrays(references: References, offset: FloatArray) -> Arrays:
     """Return the pairs' frames and markers, by which their takes are aligned when mapped.
 
-    Also the root mean square offset and the keys' delay of each take. `timed`: the
-    references at the times of their keys; `aligned`: the same without the takes' offsets.
+    Also the root mean square offset of each take. `offset`: of the markers of each pair's take.
     """
     take = np.unique(references.takes, return_inverse=True)[1]
-    offset = timed.markers - aligned.markers
     squared = (offset**2).sum(axis=2).mean(axis=1)
-    take_delay = np.zeros(int(take.max()) + 1)
-    take_delay[take[delays != 0]] = delays[delays != 0]
     return {
         "pair_frames": np.stack([take, references.frames], axis=1),
         "pair_markers": references.markers - offset,
         "take_offset_mm": np.sqrt(np.bincount(take, squared) / np.bincount(take)),
-        "take_delay": take_delay,
     }
 
 
@@ -304,10 +297,13 @@ def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin 
     return DrivenSkin(logic, skin[len(references.shape_names) :])
 
 
-def _key_settings(folds: PairFolds, references: References) -> dict[str, float | str]:
-    """Return what is known of the keys: errors, gains and contradictions by the markers, origin."""
+def _key_settings(
+    folds: PairFolds, references: References, delays: FloatArray
+) -> dict[str, float | str]:
+    """Return what is known of the keys: errors, gains, delays, contradictions, and origin."""
     corrected = folds.corrected
     gains = mean_gains(corrected.log_factor, references.authors)
+    late = {take: delay for take, delay in zip(references.takes, delays, strict=True) if delay}
     contradicted = find_contradicted(corrected.uncorrected, folds.parts).items()
     return {
         "pairs": len(references.weights),
@@ -316,6 +312,10 @@ def _key_settings(folds: PairFolds, references: References) -> dict[str, float |
         "key_error": corrected.key_error,
         "gain_deviation": float(corrected.log_factor.std()),
         "author_gains": "; ".join(f"{author} {gain:.2f}" for author, gain in gains.items()),
+        "key_delays": "; ".join(
+            f"{take} ({abs(1000 * delay):.0f} ms {'late' if delay > 0 else 'early'})"
+            for take, delay in late.items()
+        ),
         "contradicted": "; ".join(
             f"{references.takes[n]} {references.frames[n]} ({region}, {residual:.1f} mm)"
             for n, (region, residual) in contradicted

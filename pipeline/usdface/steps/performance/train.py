@@ -263,7 +263,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"{'is' if len(unseen) == 1 else 'are'} inferred from the rest of the face, and not "
             "included in the uncertainty; key them with `usdface edit`"
         )
-    notes += [*_delay_notes(mapping), *_offset_notes(references, mapping)]
+    notes += [*_offset_notes(references, mapping), *_delay_notes(mapping)]
     pose_error_mm = float(mapping.settings.get("pose_error_mm", 0.0))
     if pose_error_mm:
         notes.append(pose_error_note("the references", pose_error_mm))
@@ -289,23 +289,6 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
     return notes
 
 
-def _delay_notes(mapping: TrainedMapping) -> list[str]:
-    takes = json.loads(str(mapping.settings["pair_takes"]))
-    seconds = zip(takes, mapping.arrays["take_delay"].tolist(), strict=True)
-    found = [
-        f"{take} ({abs(1000 * delay):.0f} ms {'late' if delay > 0 else 'early'})"
-        for take, delay in seconds
-        if delay
-    ]
-    if not found:
-        return []
-    return [
-        f"by the markers, the keys of {first_few(found)} are not in sync with the capture: the "
-        "mapping is trained on the markers of the time that they describe. If the video is not in "
-        "sync, correct it with `usdface align --offset`, and keys that follow"
-    ]
-
-
 def _offset_notes(references: References, mapping: TrainedMapping) -> list[str]:
     takes = json.loads(str(mapping.settings["pair_takes"]))
     sizes = zip(takes, mapping.arrays["take_offset_mm"].tolist(), strict=True)
@@ -315,6 +298,17 @@ def _offset_notes(references: References, mapping: TrainedMapping) -> list[str]:
     return [
         f"by the keys, the markers of {first_few(moved)} are offset from {references.neutral_take},"
         " as if applied again or by an expression held throughout: the offset is removed"
+    ]
+
+
+def _delay_notes(mapping: TrainedMapping) -> list[str]:
+    delays = str(mapping.settings.get("key_delays", ""))
+    if not delays:
+        return []
+    return [
+        f"by the markers, the keys of {first_few(delays.split('; '))} are not in sync with the "
+        "capture; the mapping is trained on the markers of the times that they describe. Correct "
+        "the video with `usdface align --offset` before more frames are keyed"
     ]
 
 
