@@ -3,13 +3,14 @@
 Keys that are late by d seconds describe the face of a time d before their frame. r_n(d) are the
 residuals of pair n under the forward model (`forward_model`) with the markers of that time, and v_n
 the velocities of these, both whitened by the covariance of the pairs, ``C = L L'``: ``L^-1 r``,
-``L^-1 v``. As r changes by -v with d, the Gauss-Newton step is that of weighted least squares ::
+``L^-1 v``. As r changes by -v with d, the Gauss-Newton step is that of least squares ::
 
-    h_n = |v_n|^2,  s_n = v_n'r_n / h_n,  step = sum_n h_n s_n / sum_n h_n
-    error^2 = sum_n h_n (s_n - step)^2 / ((N - 1) sum_n h_n)
+    step = sum_n v_n'r_n / H,  H = sum_n |v_n|^2
+    error^2 = sum_n sum_m (v_n'e_m)^2 / ((N - 1) H^2),  e_m = r_m - v_m step
 
-Markers of a frame have common errors, so that frames are the samples, of which there are
-effectively ``(sum_n h_n)^2 / sum_n h_n^2`` (Kish 1965): some hardly move.
+Errors of a pair's markers are correlated, those of different pairs are not: each v_n is projected
+on the errors of all N pairs. Those of v_n alone would be few, as most keys are of frames that
+hardly move.
 """
 
 from dataclasses import replace
@@ -74,16 +75,16 @@ def _refine(
     for _ in range(_ROUNDS):
         if not members or longest < _PRECISION:
             break
-        information, step = pair_steps(*_fit_at(pairs, prior, trajectories, found))
+        velocity, residual = whiten_pairs(*_fit_at(pairs, prior, trajectories, found))
         changed, longest = [], 0.0
         for group in members:
-            mean, critical = _mean_step(information[group], step[group])
-            if np.abs(found[group] + mean - start[group]).max() < critical:
+            step, critical = measure_step(velocity[group], residual[group])
+            if np.abs(found[group] + step - start[group]).max() < critical:
                 found[group] = start[group]
                 continue
-            moved = found[group] + np.clip(mean, -_LARGEST_STEP, _LARGEST_STEP)
+            moved = found[group] + np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
             found[group] = np.clip(moved, -LARGEST_DELAY, LARGEST_DELAY)
-            longest = max(longest, abs(mean))
+            longest = max(longest, abs(step))
             changed.append(group)
         members = changed
     return found
@@ -101,27 +102,28 @@ def _fit_at(
     return fit_pairs_forward(timed, _SCALES, prior), (after - before) / (2 * _HALF_INTERVAL)
 
 
-def pair_steps(forward: ForwardModel, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ``h_n`` [s^-2] and ``s_n`` [s] of each pair: (pairs,).
+def whiten_pairs(forward: ForwardModel, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return whitened velocities and residuals of the pairs: (pairs, 3 markers) each.
 
     `velocity`: of the markers, (pairs, markers, 3) [mm/s].
     """
     root = np.linalg.cholesky(forward.inverse)  # C^-1 = root root', so that L^-1 = root'
-    whitened = root.transpose(0, 2, 1) @ velocity.transpose(1, 0, 2)
-    residual = np.linalg.solve(root, forward.dual.transpose(1, 0, 2))  # dual: C^-1 r
-    information = (whitened**2).sum(axis=(0, 2))
-    step = (whitened * residual).sum(axis=(0, 2)) / np.maximum(information, 1e-12)
-    return information, step
+    both = (
+        root.transpose(0, 2, 1) @ velocity.transpose(1, 0, 2),
+        np.linalg.solve(root, forward.dual.transpose(1, 0, 2)),  # dual: C^-1 r
+    )
+    first, second = (each.transpose(1, 0, 2).reshape(len(velocity), -1) for each in both)
+    return first, second
 
 
-def _mean_step(information: FloatArray, step: FloatArray) -> tuple[float, float]:
-    """Return the mean step of a group, and the largest change that is not significant [s]."""
+def measure_step(velocity: FloatArray, residual: FloatArray) -> tuple[float, float]:
+    """Return the step of whitened pairs, and the largest change that is not significant [s]."""
     from scipy.special import stdtrit  # SciPy is only loaded for training
 
-    whole = max(float(information.sum()), 1e-12)
-    mean = float(information @ step) / whole
-    degrees = whole**2 / max(float(information @ information), 1e-24) - 1
-    if degrees < 1:
-        return mean, np.inf
-    error2 = float(information @ (step - mean) ** 2) / ((len(step) - 1) * whole)
-    return mean, float(stdtrit(degrees, 1 - _FALSE_POSITIVE_RATE / 2)) * error2**0.5
+    degrees, information = len(velocity) - 1, max(float((velocity**2).sum()), 1e-12)
+    step = float((velocity * residual).sum()) / information
+    if not degrees:
+        return step, np.inf
+    projected = velocity @ (residual - step * velocity).T
+    error = float(np.linalg.norm(projected)) / degrees**0.5 / information
+    return step, float(stdtrit(degrees, 1 - _FALSE_POSITIVE_RATE / 2)) * error
