@@ -26,7 +26,7 @@ from benchmarks.random_captures import (
 from tests.conftest import SHARED_DATA
 from usdface.usdio.rig.read import read_rig
 
-SETUPS, QUICK_SETUPS = 8, 1
+SETUPS, QUICK_SETUPS = 6, 1
 OTHER_HEAD = {"ict_face": "facecap_head", "facecap_head": "ict_face"}
 METHODS = ("auto", "ridge", "kernel_cca", "rbf", "baseline")
 TAKES = ("references'", "another", "one-sided")
