@@ -119,6 +119,7 @@ def _undamaged(setup: Setup, rng: np.random.Generator) -> Setup:
         reapplied_mm=0.0,
         noise_mm=min(setup.noise_mm, 0.2),
         rate=RATE,
+        metres=False,
         swaps=0,
         gaps=0,
         lost=0,
