@@ -26,9 +26,9 @@ from benchmarks.random_captures import (
 from tests.conftest import SHARED_DATA
 from usdface.usdio.rig.read import read_rig
 
-SETUPS, QUICK_SETUPS = 6, 1
+SETUPS, QUICK_SETUPS = 4, 1
 OTHER_HEAD = {"ict_face": "facecap_head", "facecap_head": "ict_face"}
-METHODS = ("auto", "ridge", "kernel_cca", "rbf", "baseline")
+METHODS = ("auto", "ridge", "kernel_cca", "baseline")
 TAKES = ("references'", "another", "one-sided")
 RATE, LATE_SECONDS = 60, 7
 
