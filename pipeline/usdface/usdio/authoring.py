@@ -129,6 +129,16 @@ def value_of(prim: Usd.Prim, name: str) -> Any:
     return attribute.Get() if attribute else None
 
 
+def stated_spec(prim: Usd.Prim, name: str) -> tuple[Sdf.AttributeSpec, Sdf.LayerOffset] | None:
+    """Return where an attribute has its value, and how USD moves the times of samples there.
+
+    Numbers of frames are not moved by layer offsets and rates.
+    """
+    attribute = prim.GetAttribute(name) if prim else None
+    stack = attribute.GetPropertyStackWithLayerOffsets(Usd.TimeCode.Default()) if attribute else ()
+    return next((each for each in stack if each[0].HasDefaultValue()), None)
+
+
 def text_of(prim: Usd.Prim, name: str, time: float | None = None) -> str:
     """Return a string or token of a prim, by default not at a time code; empty if missing."""
     attribute = prim.GetAttribute(name)
@@ -194,8 +204,12 @@ def author_gaps(prim: Sdf.PrimSpec, stretches: Sequence[tuple[int, int]]) -> Non
 
 
 def read_gaps(prim: Usd.Prim) -> tuple[tuple[int, int], ...]:
-    """Return the stretches that `author_gaps` wrote."""
-    return tuple((int(first), int(last)) for first, last in value_of(prim, _GAPS) or ())
+    """Return the stretches that `author_gaps` wrote, moved as USD moves the times of samples."""
+    found = stated_spec(prim, _GAPS)
+    if found is None:
+        return ()
+    spec, moved = found
+    return tuple((round(moved * int(a)), round(moved * int(b))) for a, b in spec.default)
 
 
 def doubles(values: ArrayLike) -> Vt.DoubleArray:

@@ -1,7 +1,9 @@
 """Edits: in a layer of their own, above the weights, for any tool to read and write."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.key_reduction import EditCurve
+from usdface.runner.execute import execute
+from usdface.specs.edits import BakeSpec, EditSpec
 from usdface.usdio.performance.edits import ShapeEdit, read_edits, write_edits
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
@@ -32,17 +36,21 @@ def perform(
     rate: int = 24,
     first: int = 101,
     last: int = 140,
+    **header: Any,
 ) -> Path:
     write_rig(folder / "rig.usda", small_rig())
     path = folder / "shot.hero.usda"
     with writing_performance(
         path,
-        make_header(
-            read_rig(folder / "rig.usda"),
-            shape_names=names,
-            rate=Fraction(rate),
-            first_frame=first,
-            last_frame=last,
+        replace(
+            make_header(
+                read_rig(folder / "rig.usda"),
+                shape_names=names,
+                rate=Fraction(rate),
+                first_frame=first,
+                last_frame=last,
+            ),
+            **header,
         ),
         read_rig(folder / "rig.usda"),
     ) as writer:
@@ -94,6 +102,45 @@ def test_what_is_written_reads_back_and_opens_above_the_weights(tmp_path: Path) 
         np.testing.assert_allclose(found, wanted, atol=1e-6)
     np.testing.assert_allclose(back["jawOpen"].solve_when_edited, solved, atol=1.1e-3)
     assert {each.check for each in validate(path)} <= {"usdface:Provenance", "usdface:Curves"}
+
+
+@pytest.mark.parametrize("moved", [Sdf.LayerOffset(900), Sdf.LayerOffset(-50, 2)])
+def test_edits_of_layers_that_were_moved_in_time_stay_where_they_are_shown(
+    tmp_path: Path, moved: Sdf.LayerOffset
+) -> None:
+    path = perform(tmp_path)
+    execute(EditSpec(performance=path, shape=("smile",), add=0.25, frames="110-115"))
+    top = Sdf.Layer.FindOrOpen(str(path))
+    for at in range(len(top.subLayerPaths)):
+        top.subLayerOffsets[at] = moved
+    top.startTimeCode, top.endTimeCode = moved * 101, moved * 140
+    top.Save()
+    first, last = round(moved * 130), round(moved * 132)
+    execute(
+        EditSpec(performance=path, shape=("smile",), add=0.5, frames=f"{first}-{last}"),
+        overwrite=True,
+    )
+    reader = PerformanceReader(path)
+    added = (reader.edited() - reader.solved())[:, NAMES.index("smile")]
+    back = (reader.frames - moved.offset) / moved.scale
+    wanted = np.select([(back >= 110) & (back <= 115), (back >= 130) & (back <= 132)], [0.25, 0.5])
+    whole = np.isin(back, FRAMES)
+    np.testing.assert_allclose(added[whole], wanted[whole], atol=1e-6)
+    layer = Sdf.Layer.FindOrOpen(str(edits_path(path)))
+    assert (layer.startTimeCode, layer.endTimeCode) == (101, 140)
+
+
+def test_frames_that_a_performance_names_are_moved_with_its_weights(tmp_path: Path) -> None:
+    path = perform(tmp_path, neutral_frame=105, gaps=((120, 130),))
+    cut = Sdf.Layer.CreateNew(str(tmp_path / "cut.usda"))
+    cut.timeCodesPerSecond, cut.subLayerPaths = 24, [f"./{path.name}"]
+    cut.subLayerOffsets[0] = Sdf.LayerOffset(900)
+    cut.Save()
+    execute(BakeSpec(performance=tmp_path / "cut.usda", out=tmp_path / "baked.usdc"))
+    for each in ("cut.usda", "baked.usdc"):
+        reader = PerformanceReader(tmp_path / each)
+        assert (reader.first_frame, reader.neutral_frame) == (1001, 1005)
+        assert reader.header.gaps == ((1020, 1030),)
 
 
 def test_edits_that_are_not_changed_stay_in_time_when_the_rate_is_another(tmp_path: Path) -> None:

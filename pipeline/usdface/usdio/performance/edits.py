@@ -219,9 +219,9 @@ def write_edits(
 ) -> Path:
     """Write edits into NAME.edits.usda, and make it the strongest sublayer of NAME.usda.
 
-    Edits of other shapes and prims are preserved. `InputError` if a layer cannot be written, two
-    shapes have the same attribute name, a stronger layer has edits of a shape, or another process
-    changed the edits since.
+    Edits of other shapes and prims are preserved, and the layer's offset. `InputError` if a layer
+    cannot be written, two shapes have the same attribute name, a stronger layer has edits of a
+    shape, or another process changed the edits since.
 
     Parameters
     ----------
@@ -241,9 +241,12 @@ def write_edits(
     names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
     tokens = _attribute_names([*map(str, names), *edits])
     elsewhere = {shape: _edited_elsewhere(animation, path, tokens[shape]) for shape in edits}
-    asset = relative_path(path, performance)
+    asset, root = relative_path(path, performance), open_layer(performance)
+    below, back = list(root.subLayerPaths), Sdf.LayerOffset()  # to the layer's times
     made: dict[Path, Provenance | None] = {path: provenance}
-    if asset not in list(open_layer(performance).subLayerPaths):
+    if asset in below:
+        back = root.subLayerOffsets[below.index(asset)].GetInverse()
+    else:
         made[performance] = None
     with (
         usd_errors_as_input_errors(path, "writing it"),  # open stages compose again
@@ -263,12 +266,13 @@ def write_edits(
         author_timing(
             layer,
             rate=top.timeCodesPerSecond,
-            first=min(top.startTimeCode, int(frames[0])),
-            last=max(top.endTimeCode, int(frames[-1])),
+            first=back * min(top.startTimeCode, int(frames[0])),
+            last=back * max(top.endTimeCode, int(frames[-1])),
         )
+        times = back.offset + back.scale * frames
         prim = Sdf.CreatePrimInLayer(layer, animation.GetPath())
         for shape, edit in edits.items():
-            _write_shape(prim, shape, tokens[shape], edit, frames, weaker=elsewhere[shape])
+            _write_shape(prim, shape, tokens[shape], edit, times, weaker=elsewhere[shape])
         for opened in above:
             opened.TransferContent(open_layer(performance))
             if asset not in list(opened.subLayerPaths):
@@ -337,7 +341,7 @@ def _write_shape(
     shape: str,
     name: str,
     edit: ShapeEdit,
-    frames: IntArray,
+    times: FloatArray,
     *,
     weaker: frozenset[str],
 ) -> None:
@@ -349,15 +353,15 @@ def _write_shape(
     active = np.flatnonzero(curve.active)
     overridden = curve.mask > 0
     offset = curve.offset if curve.offset.any() or _OFFSET in weaker else None
-    _write_curve(prim, _OFFSET + name, shape, frames, offset)
+    _write_curve(prim, _OFFSET + name, shape, times, offset)
     held = None
     if overridden.any():
-        held = np.interp(frames, frames[overridden], curve.override[overridden])
-    _write_curve(prim, OVERRIDE + name, shape, frames, held)
+        held = np.interp(times, times[overridden], curve.override[overridden])
+    _write_curve(prim, OVERRIDE + name, shape, times, held)
     mask = curve.mask if overridden.any() or OVERRIDE in weaker else None
-    _write_curve(prim, MASK + name, shape, frames, mask)
+    _write_curve(prim, MASK + name, shape, times, mask)
     if not len(active):
-        _write_curve(prim, EDITED_SOLVE + name, shape, frames, None)
+        _write_curve(prim, EDITED_SOLVE + name, shape, times, None)
         return
     known = np.flatnonzero(curve.active & np.isfinite(edit.solve_when_edited))
     if not len(known):
@@ -365,11 +369,11 @@ def _write_shape(
     part = slice(int(known[0]), int(known[-1]) + 1)
     filled = np.interp(np.arange(part.start, part.stop), known, edit.solve_when_edited[known])
     keys = reduce_keys(filled[:, None], EDITED_SOLVE_TOLERANCE)
-    _write_samples(prim, EDITED_SOLVE + name, shape, frames[part][keys], filled[keys])
+    _write_samples(prim, EDITED_SOLVE + name, shape, times[part][keys], filled[keys])
 
 
 def _write_curve(
-    prim: Sdf.PrimSpec, name: str, shape: str, frames: IntArray, values: FloatArray | None
+    prim: Sdf.PrimSpec, name: str, shape: str, times: FloatArray, values: FloatArray | None
 ) -> None:
     if values is None:
         if name in prim.attributes:
@@ -377,11 +381,11 @@ def _write_curve(
         return
     rounded = values.astype(np.float32).astype(np.float64)
     needed = needed_samples(rounded)
-    _write_samples(prim, name, shape, frames[needed], rounded[needed])
+    _write_samples(prim, name, shape, times[needed], rounded[needed])
 
 
 def _write_samples(
-    prim: Sdf.PrimSpec, name: str, shape: str, frames: IntArray, values: FloatArray
+    prim: Sdf.PrimSpec, name: str, shape: str, times: FloatArray, values: FloatArray
 ) -> None:
     if name in prim.attributes:
         prim.RemoveProperty(prim.attributes[name])
@@ -389,5 +393,5 @@ def _write_samples(
     attribute.custom = True
     if not name.endswith(f":{shape}"):
         attribute.displayName = shape
-    for frame, value in zip(frames.tolist(), values.tolist(), strict=True):
-        prim.layer.SetTimeSample(attribute.path, frame, value)
+    for time, value in zip(times.tolist(), values.tolist(), strict=True):
+        prim.layer.SetTimeSample(attribute.path, time, value)

@@ -16,7 +16,14 @@ from usdface.core.errors import InputError, as_input_error
 from usdface.core.rates import exact_rate, label_alike, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
 from usdface.core.text import first_few, repeated
-from usdface.usdio.authoring import names_in, read_array_samples, read_gaps, text_of, value_of
+from usdface.usdio.authoring import (
+    names_in,
+    read_array_samples,
+    read_gaps,
+    stated_spec,
+    text_of,
+    value_of,
+)
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (
@@ -155,8 +162,8 @@ class PerformanceReader:
     @refusing_wrong_types
     def neutral_frame(self) -> int | None:
         """Frame of the performer's neutral face in the take; None if unknown."""
-        frame = value_of(self.animation, NEUTRAL_FRAME)
-        return None if frame is None else int(frame)
+        found = stated_spec(self.animation, NEUTRAL_FRAME)
+        return None if found is None else round(found[1] * int(found[0].default))
 
     @property
     @refusing_wrong_types

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
@@ -17,7 +17,14 @@ from usdface.core.rates import (
     label_alike,
     shift_timecode,
 )
-from usdface.usdio.authoring import names_in, read_array_samples, read_gaps, text_of, value_of
+from usdface.usdio.authoring import (
+    names_in,
+    read_array_samples,
+    read_gaps,
+    stated_spec,
+    text_of,
+    value_of,
+)
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
@@ -95,7 +102,7 @@ class TakeReader:
     @functools.cached_property
     def neutral_frame(self) -> int:
         """Frame number of the neutral face, by default the first frame."""
-        stated = _stated(self._markers, "face:markers:neutralFrame")
+        stated = stated_spec(self._markers, "face:markers:neutralFrame")
         return self.first_frame if stated is None else round(float(stated[1] * stated[0].default))
 
     @functools.cached_property
@@ -106,7 +113,7 @@ class TakeReader:
 
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty if unknown or if its labels do not fit."""
-        stated = _stated(self._root, "face:timecode:start")
+        stated = stated_spec(self._root, "face:timecode:start")
         if stated is None:
             return ""
         where, (spec, moved) = f"{self.path}: face:timecode:start", stated
@@ -315,16 +322,6 @@ class TakeReader:
         if resolved:
             return Path(resolved)
         return (self.path.parent / str(getattr(asset, "path", ""))).resolve()
-
-
-def _stated(prim: Usd.Prim, name: str) -> tuple[Sdf.AttributeSpec, Sdf.LayerOffset] | None:
-    """Return where an attribute has its value, and how USD moves the times of samples there.
-
-    Numbers of frames are not moved by layer offsets and rates.
-    """
-    attribute = prim.GetAttribute(name) if prim else None
-    stack = attribute.GetPropertyStackWithLayerOffsets(Usd.TimeCode.Default()) if attribute else ()
-    return next((each for each in stack if each[0].HasDefaultValue()), None)
 
 
 def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.ndarray:
