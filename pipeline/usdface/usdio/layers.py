@@ -255,6 +255,16 @@ def relative_path(target: Path, layer_path: Path) -> str:
     return relative if relative.startswith(".") else f"./{relative}"
 
 
+def sublayer_asset(layer: Sdf.Layer, file: Path, path: Path) -> str:
+    """Return the asset path by which a layer at `path` opens a file as a sublayer, or would.
+
+    Other tools write it without ``./``, or absolute.
+    """
+    wanted = file.resolve()
+    opened = (each for each in layer.subLayerPaths if (path.parent / each).resolve() == wanted)
+    return next(opened, None) or relative_path(file, path)
+
+
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -368,6 +368,26 @@ def test_a_package_has_the_head_where_it_was_moved_to(tmp_path: Path) -> None:
         assert other.Get(117) == one.Get(117)
 
 
+@pytest.mark.parametrize("absolute", [False, True])
+def test_layers_whose_paths_another_tool_wrote_are_known(tmp_path: Path, absolute: bool) -> None:
+    rig, source = write_character(tmp_path / "hero.usda"), write_source(tmp_path / "shot.csv")
+    out = tmp_path / "shot.hero.usda"
+    retarget = ("retarget", source, "--rate", 30, "--rig", rig.file, "--drive", "head=neck")
+    assert usdface(*retarget, "--out", out) == 0
+    layer = Sdf.Layer.FindOrOpen(str(out))
+    names = ["shot.hero.head.usdc", "shot.hero.weights.usdc"]
+    written = [str(tmp_path / each) if absolute else each for each in names]
+    layer.subLayerPaths = written
+    layer.Save()
+    assert usdface("package", out, "--out", tmp_path / "shot.usdz") == 0
+    packed = Usd.Stage.Open(str(tmp_path / "shot.usdz"))
+    assert packed.GetAttributeAtPath("/Hero/FaceSolve.rotations").GetNumTimeSamples() == FRAMES
+    assert usdface(*retarget, "--out", out, "--overwrite") == 0
+    assert usdface("edit", out, "--shape", "jawOpen", "--add", 0.1) == 0
+    layer.Reload()
+    assert list(layer.subLayerPaths) == ["./shot.hero.edits.usda", *written]
+
+
 @pytest.mark.parametrize(
     ("drive", "said"),
     [

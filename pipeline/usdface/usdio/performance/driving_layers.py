@@ -27,7 +27,7 @@ from usdface.usdio.authoring import (
     sampled_properties,
     top_path,
 )
-from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
+from usdface.usdio.layers import new_layer, open_layer, open_stage, sublayer_asset
 from usdface.usdio.performance.weights_layer import WeightsHeader, author_layer_metadata
 from usdface.usdio.retarget.controls import (
     author_joints,
@@ -149,7 +149,7 @@ _OF_JOINTS = ("translations", "rotations", "scales")
 def opens_layer(performance: Path, file: Path) -> bool:
     """Whether a file is a sublayer of a performance."""
     layer = open_layer(performance)  # keep a reference: prims do not outlive their layer
-    return relative_path(file, performance) in list(layer.subLayerPaths)
+    return sublayer_asset(layer, file, performance) in list(layer.subLayerPaths)
 
 
 def head_layer_xforms(performance: Path) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from usdface.usdio.authoring import (
     retime_layer,
     top_path,
 )
-from usdface.usdio.layers import new_layers, open_layer, relative_path, usd_errors_as_input_errors
+from usdface.usdio.layers import new_layers, open_layer, sublayer_asset, usd_errors_as_input_errors
 from usdface.usdio.performance.weights_layer import VARIANT_SET
 from usdface.usdio.units import author_units
 
@@ -241,7 +241,8 @@ def write_edits(
     names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
     tokens = _attribute_names([*map(str, names), *edits])
     elsewhere = {shape: _edited_elsewhere(animation, path, tokens[shape]) for shape in edits}
-    asset, root = relative_path(path, performance), open_layer(performance)
+    root = open_layer(performance)
+    asset = sublayer_asset(root, path, performance)
     below, back = list(root.subLayerPaths), Sdf.LayerOffset()  # to the layer's times
     made: dict[Path, Provenance | None] = {path: provenance}
     if asset in below:

@@ -32,6 +32,7 @@ from usdface.usdio.layers import (
     read_provenance,
     relative_path,
     save_layer,
+    sublayer_asset,
     usd_errors_as_input_errors,
 )
 from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_parts
@@ -141,7 +142,7 @@ def _copy_driving_layers(
     opened, written = open_layer(copied.path), list[Path]()
     moved = dict(zip(opened.subLayerPaths, opened.subLayerOffsets, strict=True))
     for path_of, target in zip(_DRIVING_PATHS, targets, strict=True):
-        asset = relative_path(path_of(copied.path), copied.path)
+        asset = sublayer_asset(opened, path_of(copied.path), copied.path)
         if asset in moved:
             with new_layer(target, provenance) as copy:
                 copy.TransferContent(open_layer(path_of(copied.path)))
@@ -249,7 +250,7 @@ def writing_top(
             layer.TransferContent(open_layer(path))
         author_units(layer, like=rig.file)
         layer.defaultPrim = top_path(header.rig_path).name
-        weights_asset = relative_path(weights_path(path), path)
+        weights_asset = sublayer_asset(layer, weights_path(path), path)
         below = list(layer.subLayerPaths)
         is_open = weights_asset in below
         moved = layer.subLayerOffsets[below.index(weights_asset)] if is_open else Sdf.LayerOffset()
@@ -264,8 +265,9 @@ def writing_top(
         if not is_open:
             layer.subLayerPaths.append(weights_asset)
         for each in driving:
-            _open_above(layer, relative_path(each, path), weights_asset, wanted=each in above)
-        edits_asset = relative_path(edits_path(path), path)
+            asset = sublayer_asset(layer, each, path)
+            _open_above(layer, asset, weights_asset, wanted=each in above)
+        edits_asset = sublayer_asset(layer, edits_path(path), path)
         if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):
             # The top layer is new, the edits are not.
             layer.subLayerPaths.insert(0, edits_asset)
