@@ -129,7 +129,7 @@ def _extract(
         baked = execute(bake, progress=part(progress, 0.0, 0.3))
     published = PerformanceReader(opened)
     replaced = replaced_motion_notes(published.stage, published.animation)
-    published_too = driving_notes(item.performance)  # a version has these layers as well
+    published_too = driving_notes(reader)  # a version has these layers as well
     for note in (*(each for each in baked.notes if each not in published_too), *replaced):
         log.warning("%s: %s", opened.name, note)
     files = {"performance": opened.name, "weights": bake.out.name}

@@ -30,6 +30,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.media.face.surface import build_surface
 from usdface.model.placement.rig_orientation import face_axes, face_centre
+from usdface.publish import collect_performances, extract_performance
 from usdface.steps.inputs.head_drive import take_head_source
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
@@ -366,6 +367,35 @@ def test_a_package_has_the_head_where_it_was_moved_to(tmp_path: Path) -> None:
         one, other = (each.GetAttributeAtPath(f"/Hero/{name}") for each in (ours, packed))
         assert other.GetTimeSamples() == one.GetTimeSamples() == list(range(101, 101 + FRAMES))
         assert other.Get(117) == one.Get(117)
+
+
+@pytest.mark.parametrize(("rate", "offset"), [(30, 0), (30, 100), (15, 0)])
+def test_a_layer_above_a_performance_is_packed_and_published_with_the_head(
+    tmp_path: Path, rate: int, offset: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, source = write_character(tmp_path / "hero.usda"), write_source(tmp_path / "shot.csv")
+    out, above = tmp_path / "shot.hero.usda", tmp_path / "animator.usda"
+    drive = ("--drive", "head=neck", "--drive", "left_eye=/Hero/props/eyeball")
+    assert usdface("retarget", source, "--rate", 30, "--rig", rig.file, *drive, "--out", out) == 0
+    layer = Sdf.Layer.CreateNew(str(above))
+    layer.subLayerPaths, layer.timeCodesPerSecond = [f"./{out.name}"], rate
+    layer.subLayerOffsets[0] = Sdf.LayerOffset(offset)
+    layer.Save()
+    capsys.readouterr()
+    assert usdface("bake", above, "--out", tmp_path / "baked.usdc") == 0
+    assert "only weights are baked: shot.hero.head.usdc" in capsys.readouterr().out
+    assert usdface("package", above, "--out", tmp_path / "shot.usdz") == 0
+    (item,) = collect_performances([above])
+    published = extract_performance(item, tmp_path / "publish").path("performance")
+    assert published is not None
+    frame = offset + 17 * rate // 30
+    ours = Usd.Stage.Open(str(above))
+    for each in (published, tmp_path / "shot.usdz"):
+        stage = Usd.Stage.Open(str(each))
+        for name in ("FaceSolve.rotations", "props/eyeball.xformOp:transform:head"):
+            one, other = (at.GetAttributeAtPath(f"/Hero/{name}") for at in (ours, stage))
+            assert other.GetNumTimeSamples() == FRAMES
+            assert other.Get(frame) == one.Get(frame)
 
 
 @pytest.mark.parametrize("absolute", [False, True])

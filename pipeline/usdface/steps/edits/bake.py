@@ -10,13 +10,12 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import controls_path, head_path
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import Deviation, reduce_keys
 from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec
 from usdface.usdio.authoring import text_of
-from usdface.usdio.performance.driving_layers import opens_layer
+from usdface.usdio.performance.driving_layers import DRIVING_PATHS, opened_driving_layer
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import writing_weights
 from usdface.usdio.rig.reference import read_rig_of_stage
@@ -47,7 +46,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             writer.append(weights, reader.figures(first, last), keys=keys)
             done = last - reader.first_frame + 1
             progress(done / header.frame_count, f"baked to frame {last}")
-    notes = [*_left_out(reader), *driving_notes(spec.performance)]
+    notes = [*_left_out(reader), *driving_notes(reader)]
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(
@@ -65,13 +64,15 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     )
 
 
-def driving_notes(performance: Path) -> list[str]:
+def driving_notes(reader: PerformanceReader) -> list[str]:
     """Return notes on the layers of joints and attributes, which a layer of weights lacks."""
-    layers = (head_path(performance), controls_path(performance))
+    rig_path = reader.header.rig_path
+    layers = (opened_driving_layer(reader.stage, rig_path, each) for each in DRIVING_PATHS)
     return [
-        f"only weights are baked: {each.name} moves joints or attributes; sublayer it as well"
-        for each in layers
-        if opens_layer(performance, each)
+        f"only weights are baked: {Path(found[0].realPath).name} moves joints or attributes; "
+        "sublayer it as well"
+        for found in layers
+        if found is not None
     ]
 
 

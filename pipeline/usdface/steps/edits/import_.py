@@ -20,7 +20,7 @@ from usdface.steps.inputs.weight_tables import (
     read_weight_table,
     undo_clamping,
 )
-from usdface.usdio.performance.driving_layers import opens_layer
+from usdface.usdio.performance.driving_layers import opened_driving_layer
 from usdface.usdio.performance.edits import (
     ShapeEdit,
     edited_weights,
@@ -67,7 +67,7 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
     outside = len(table.frames) - len(given)
     if outside:
         notes += (f"left out {pluralize(outside, 'frame')} outside the performance",)
-    if opens_layer(spec.performance, controls_path(spec.performance)):
+    if opened_driving_layer(reader.stage, reader.header.rig_path, controls_path):
         notes += ("edits are of weights: changes of joints and attributes are not imported",)
     if not changed:
         return StepResult(

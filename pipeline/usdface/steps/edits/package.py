@@ -26,7 +26,7 @@ def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress) -> Ste
             progress=part(progress, 0.0, 0.7),
         )
         write_package(temporary, reader, baked, provenance=provenance)
-    packed_too = bake.driving_notes(spec.performance)  # a package has these layers as well
+    packed_too = bake.driving_notes(reader)  # a package has these layers as well
     size = spec.out.stat().st_size / 1e6
     return StepResult(
         (spec.out,),

@@ -6,7 +6,7 @@ transform before those of the rig. A joint with a parent is only rotated, as the
 position; a root joint and an Xform are translated as well.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from usdface.core.assets import Rig
 from usdface.core.controls import Controls, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import head_path
+from usdface.core.sidecars import controls_path, head_path
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import multiply_quaternions
 from usdface.usdio.authoring import (
@@ -143,6 +143,9 @@ def _author_xform(over: Sdf.PrimSpec, prim: Usd.Prim, world: FloatArray, first: 
     author_series(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d, matrices, first=first)
 
 
+DRIVING_PATHS = (head_path, controls_path)
+"""Of layers of joints, Xforms and attributes, the stronger first: both may have the same joints."""
+
 _OF_JOINTS = ("translations", "rotations", "scales")
 
 
@@ -150,6 +153,26 @@ def opens_layer(performance: Path, file: Path) -> bool:
     """Whether a file is a sublayer of a performance."""
     layer = open_layer(performance)  # keep a reference: prims do not outlive their layer
     return sublayer_asset(layer, file, performance) in list(layer.subLayerPaths)
+
+
+def opened_driving_layer(
+    stage: Usd.Stage, rig_path: str, beside: Callable[[Path], Path]
+) -> tuple[Sdf.Layer, Sdf.LayerOffset] | None:
+    """Return the strongest layer of a kind among a stage's layers, and how they move its times.
+
+    `beside`: from a performance to the layer, such as `head_path`; a layer above the performance,
+    such as a shot, has another name. `rig_path`: of the face, as a shot may have several.
+    """
+    ending = beside(Path("x.usda")).name.removeprefix("x")
+
+    def opened(tree: Sdf.LayerTree) -> Iterator[tuple[Sdf.Layer, Sdf.LayerOffset]]:
+        layer: Sdf.Layer = tree.layer
+        if layer.realPath.endswith(ending) and layer.GetPrimAtPath(rig_path):
+            yield layer, tree.offset
+        for below in tree.childTrees:
+            yield from opened(below)
+
+    return next(opened(stage.GetPseudoRoot().GetPrimIndex().rootNode.layerStack.layerTree), None)
 
 
 def head_layer_xforms(performance: Path) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import check_not_written_since, replacing_group
 from usdface.core.side_files import side_stream
-from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
+from usdface.core.sidecars import edits_path, weights_path
 from usdface.core.text import first_few
 from usdface.usdio.authoring import (
     author_timing,
@@ -36,6 +36,7 @@ from usdface.usdio.layers import (
     usd_errors_as_input_errors,
 )
 from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_parts
+from usdface.usdio.performance.driving_layers import DRIVING_PATHS, opened_driving_layer
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import (
     ANIMATION,
@@ -75,7 +76,7 @@ def write_package(
         author_provenance(top, provenance)
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
         top.defaultPrim = top_path(rig_path).name
-        driving = [weights.with_name(path_of(reader.path).name) for path_of in _DRIVING_PATHS]
+        driving = [weights.with_name(path_of(reader.path).name) for path_of in DRIVING_PATHS]
         below = [*_copy_driving_layers(reader, driving), weights]
         top.subLayerPaths = [f"./{each.name}" for each in below]
         for above in rig_path.GetParentPath().GetPrefixes():
@@ -128,25 +129,22 @@ def _copy_rig_use(top: Sdf.Layer, copied: PerformanceReader, rig_prim: str) -> N
         Sdf.CreatePrimInLayer(top, header.animation).referenceList.prependedItems = kept
 
 
-_DRIVING_PATHS = (head_path, controls_path)
-"""Of layers of joints, Xforms and attributes, the stronger first: both may have the same joints."""
-
-
 def _copy_driving_layers(
     copied: PerformanceReader, targets: Sequence[Path], provenance: Provenance | None = None
 ) -> list[Path]:
-    """Copy the driving layers that a performance opens, moved as it moves them, to targets.
+    """Copy the driving layers of a performance, moved as its layers move them, to targets.
 
     Returns the targets that were written.
     """
-    opened, written = open_layer(copied.path), list[Path]()
-    moved = dict(zip(opened.subLayerPaths, opened.subLayerOffsets, strict=True))
-    for path_of, target in zip(_DRIVING_PATHS, targets, strict=True):
-        asset = sublayer_asset(opened, path_of(copied.path), copied.path)
-        if asset in moved:
+    written, rig_path = list[Path](), rig_path_of(copied.stage, copied.animation)
+    for path_of, target in zip(DRIVING_PATHS, targets, strict=True):
+        found = opened_driving_layer(copied.stage, rig_path, path_of)
+        if found is not None:
             with new_layer(target, provenance) as copy:
-                copy.TransferContent(open_layer(path_of(copied.path)))
-                move_samples(copy, moved[asset])
+                copy.TransferContent(found[0])
+                move_samples(copy, found[1])
+                ends = copied.first_frame, copied.last_frame
+                author_timing(copy, rate=copied.rate, first=ends[0], last=ends[1])
             written.append(target)
     return written
 
@@ -236,7 +234,7 @@ def writing_top(
         With the rig at the same path, whose head and controls layers, variant selections and
         reference to the rig's animation of joints are copied.
     """
-    driving = [path_of(path) for path_of in _DRIVING_PATHS]
+    driving = [path_of(path) for path_of in DRIVING_PATHS]
     with (
         replacing_group((path, weights_path(path), *driving)),
         new_layer(path, provenance) as layer,
