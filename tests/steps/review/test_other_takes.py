@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 from tests.steps.review.test_report import give_video, spec_of
 from tests.steps.small_shot import Shot
@@ -171,3 +172,14 @@ def test_a_take_that_moved_is_named_and_found_where_it_is_said_to_be(shot: Shot)
     learned = steps[ReferencesFromEditsSpec] | {"take": (moved,) * 2}
     with pytest.raises(InputError, match="--take names 2 takes for 1 performances"):
         execute(ReferencesFromEditsSpec(**learned, out=shot / "x.references.usda"))
+
+
+def test_a_version_that_was_moved_in_time_is_not_compared(shot: Shot) -> None:
+    hero, moved = (Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda")), shot / "moved.usda")
+    layer = Sdf.Layer.CreateNew(str(moved))
+    layer.subLayerPaths = ["./shot.hero.usda"]
+    layer.subLayerOffsets[0] = Sdf.LayerOffset(40)
+    layer.timeCodesPerSecond, layer.defaultPrim = hero.timeCodesPerSecond, hero.defaultPrim
+    layer.Save()
+    with pytest.raises(InputError, match=r"moved\.usda: a layer moves its weights by \+40 frames"):
+        execute(spec_of(shot, also=(moved,), worst=2))

@@ -27,7 +27,7 @@ from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.review.scoring import range_mm
 from usdface.steps.review.shot import Shot, version_labels, weights_in_rig_order
-from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.performance.read import PerformanceReader, performance_of
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 
@@ -55,7 +55,13 @@ def page_curves(
 
 def _version_weights(file: Path, shot: Shot) -> FloatArray:
     """Return another performance's weights at a shot's frames; NaN outside its range."""
-    other = read_performance(file)
+    reader = PerformanceReader(file)
+    if reader.time_shift != PerformanceReader(shot.performance_file).time_shift:
+        raise InputError(
+            f"{file}: a layer moves its weights {reader.time_shift or 'by 0 frames'}, unlike those "
+            f"of {shot.performance_file.name}; give the performance as mapped"
+        )
+    other = performance_of(reader)
     shapes = read_rig(other.rig_file, prim=other.rig_prim).shapes
     if set(shapes) != set(shot.rig.shapes):
         other_shapes = sorted(set(shapes) ^ set(shot.rig.shapes))
