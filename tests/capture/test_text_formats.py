@@ -417,7 +417,9 @@ def test_rows_without_a_face_at_the_ends_are_left_out_and_not_said_to_be_interpo
     assert capture.take.frame_count == samples.FRAMES - 3
     assert capture.take.timecode_start == "13:59:58:28"
     assert noted(capture, "1 row without a face, interpolated")
-    assert noted(capture, "3 rows without a face at the ends, left out")
+    assert noted(capture, "1 row without a face at the end, left out")
+    assert noted(capture, "2 frames without a face at the start, left out: the take begins 0.067 s")
+    assert noted(capture, "a video that began with the recording needs --video-offset -0.067")
 
 
 @pytest.mark.parametrize(("column", "value", "large"), [(2, "9.5", True), (-1, "-2.5", False)])
@@ -485,6 +487,7 @@ def test_ifacialmocaps_tracking_is_no_shape_and_frames_without_a_face_are_left_o
     wanted[2] = (wanted[1] + wanted[3]) / 2
     np.testing.assert_allclose(source.values[:, :3], wanted, atol=1e-6)
     assert noted(capture, "1 frame without a face, interpolated")
+    assert noted(capture, "1 frame without a face at the start, left out")
 
 
 def test_openface_gives_landmarks_y_up_and_action_units_to_one(put):

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 
@@ -76,6 +77,18 @@ def build_channel_take(
         timecode_start=timecode_start,
     )
     return Capture(take, format_name, tuple(found))
+
+
+def start_notes(missing: int, rate: Fraction) -> list[str]:
+    """Return a note on frames without a face at the start of a recording, which are left out."""
+    if not missing:
+        return []
+    seconds = missing / rate
+    return [
+        f"{pluralize(missing, 'frame')} without a face at the start, left out: the take begins "
+        f"{float(seconds):.3f} s into the recording; a video that began with the recording needs "
+        f"--video-offset {-float(seconds):.3f}, unless it is aligned"
+    ]
 
 
 def _describe_large_weights(

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.channel_take import build_channel_take
+from usdface.capture.channel_take import build_channel_take, start_notes
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes
 from usdface.capture.text_table import TableLine, check_columns, head_lines, parse_cells, read_lines
@@ -69,6 +69,7 @@ def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
             "head and eye rotations are kept as channels, in radians; the head's position, whose "
             "unit the stream does not state, is left out",
             *([f"{pluralize(lost, 'frame')} without a face, interpolated"] if lost else []),
+            *start_notes(places[0], _RATE),
         ],
         format_name="ifacialmocap",
     )

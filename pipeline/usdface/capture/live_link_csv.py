@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.channel_take import build_channel_take
+from usdface.capture.channel_take import build_channel_take, start_notes
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes, resolve_device_times
 from usdface.capture.text_table import (
@@ -52,8 +52,9 @@ class _Rows:
     lines: list[int]
     lost: int
     """Rows without a face, between others."""
-    outside: int
-    """Rows without a face, before the first with one or after the last."""
+    before: int
+    after: int
+    """`before`, `after`: rows without a face before the first with one, after the last."""
 
 
 def is_live_link_csv(head: bytes) -> bool:
@@ -71,16 +72,17 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
             "BlendShapeCount and name the shapes: export the recording again"
         )
     rows = _read_rows(path, lines, titles, delimiter)
-    notes = []
+    notes = list[str]()
     if rows.lost:
         notes.append(f"{pluralize(rows.lost, 'row')} without a face, interpolated")
-    if rows.outside:
-        notes.append(f"{pluralize(rows.outside, 'row')} without a face at the ends, left out")
+    if rows.after:
+        notes.append(f"{pluralize(rows.after, 'row')} without a face at the end, left out")
     where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
     seconds = _unwrap(_without_milliseconds(rows, base, notes), base)
     times = resolve_device_times(seconds, np.array(rows.lines), where=where)
     _check_one_rate(seconds, rows, where)
+    notes += start_notes(rows.before, times.rate)
     if round(float(times.rate)) != base and base % times.rate == 0:
         notes.append(
             f"the timecode counts in {base}ths of a second; rows come at "
@@ -100,7 +102,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
 
 
 def _read_rows(path: Path, lines: Iterator[TableLine], titles: list[str], delimiter: str) -> _Rows:
-    rows = _Rows([], [], [], [], 0, 0)
+    rows = _Rows([], [], [], [], 0, 0, 0)
     before = lost = latest = 0  # rows without a face: at the start, in between, since the last
     for line in lines:
         cells = split_cells(line, delimiter)
@@ -124,7 +126,7 @@ def _read_rows(path: Path, lines: Iterator[TableLine], titles: list[str], delimi
             f"{path}: no row with a face after the header ({latest} without); export the recording "
             "again"
         )
-    return replace(rows, lost=lost, outside=before + latest)
+    return replace(rows, lost=lost, before=before, after=latest)
 
 
 def _read_timecode(cell: str, line: TableLine) -> tuple[int, float]:

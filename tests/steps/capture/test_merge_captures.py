@@ -55,6 +55,10 @@ def test_what_the_weights_do_not_show_lies_where_they_do() -> None:
     late = replace(weights, source=replace(weights.source, gaps=((31, 45),)))
     joined, _ = join_captures([markers_take(), late], FILES)
     assert joined.source.gaps == ((101 + 180, 101 + 236),)  # 1.5 s, and 44 / 30 + 0.5 s
+    early = weights_take("00:59:59:00")
+    early = replace(early, source=replace(early.source, gaps=((1, 10), (25, 35))))
+    joined, _ = join_captures([markers_take(), early], FILES)
+    assert joined.source.gaps == ((101, 101 + 16),)  # the first is over before the markers begin
 
 
 def test_without_timecode_they_start_together_and_that_is_said() -> None:

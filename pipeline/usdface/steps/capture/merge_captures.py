@@ -3,7 +3,7 @@
 import filecmp
 import re
 import wave
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -66,13 +66,8 @@ def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
             neutral_frame=neutral,
         )
     if source is not None:
-        within = (gap for gap in source.gaps if gap[0] <= last and gap[1] >= first)
-        source = replace(
-            source,
-            values=source.values[rows],
-            first_frame=first,
-            gaps=tuple((max(start, first), min(end, last)) for start, end in within),
-        )
+        gaps = _within(source.gaps, first, last)
+        source = replace(source, values=source.values[rows], first_frame=first, gaps=gaps)
     if video is not None:
         video = replace(video, offset=video.offset - float(Fraction(skipped) / take.rate))
     return replace(
@@ -85,6 +80,12 @@ def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
         timecode_start=shift_timecode(take.timecode_start, skipped, take.rate),
         events=tuple(event for event in take.events if first <= event.frame <= last),
     )
+
+
+def _within(gaps: Iterable[tuple[int, int]], first: int, last: int) -> tuple[tuple[int, int], ...]:
+    """Return the parts of frame ranges between two frames."""
+    cut = ((max(start, first), min(end, last)) for start, end in gaps)
+    return tuple(each for each in cut if each[0] <= each[1])
 
 
 def padding_notes(take: Take) -> list[str]:
@@ -310,8 +311,12 @@ def _resample(clip: WeightsClip, take: Take, shift: float) -> tuple[WeightsClip,
         seconds = (frame - clip.first_frame) / clip.rate + shift
         return take.first_frame + round(seconds * take.rate)
 
-    gaps = tuple((number(first), number(last)) for first, last in clip.gaps)
+    gaps = ((number(first), number(last)) for first, last in clip.gaps)
     resampled = WeightsClip(
-        clip.names, values.astype(np.float32), take.first_frame, take.rate, gaps
+        clip.names,
+        values.astype(np.float32),
+        take.first_frame,
+        take.rate,
+        _within(gaps, take.first_frame, take.last_frame),
     )
     return resampled, outside
