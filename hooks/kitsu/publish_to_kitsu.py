@@ -194,7 +194,7 @@ def _named(found, what, name):
 
 
 def main(arguments=None):
-    """Run from the command line; return the exit code: 0 done, 2 bad input."""
+    """Run from the command line; return the exit code: 0 done, 1 the server fails, 2 bad input."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("version", type=Path, help="folder of a published version")
     for name in ("project", "sequence", "shot", "task", "status"):
@@ -214,6 +214,12 @@ def main(arguments=None):
     except UsdfaceError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
+    except Exception as error:  # of the network or the server
+        sys.stderr.write(
+            f"{given.version}: Kitsu fails: {type(error).__name__}: {error}; post it again, which "
+            "adds what is missing\n"
+        )
+        return 1
     sys.stdout.write("posted\n" if posted else "is there already\n")
     return 0
 

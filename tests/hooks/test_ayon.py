@@ -17,7 +17,7 @@ from tests.hooks.loading import HOOKS, load
 from tests.regenerate import REPOSITORY
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
-from usdface.publish import ReviewOptions
+from usdface.publish import Extracted, ReviewOptions
 
 api = pytest.importorskip("pyblish.api", reason="needs pyblish-base")
 util = pytest.importorskip("pyblish.util", reason="needs pyblish-base")
@@ -142,6 +142,25 @@ def test_a_movie_is_what_is_reviewed_in_ayon(ayon_core: None, tmp_path: Path) ->
     (movie,) = instance.data["representations"]
     assert "webreview" in movie["tags"]
     assert (movie["frameStart"], movie["frameEnd"], movie["fps"]) == (1, 9, 24.0)
+
+
+def test_head_and_controls_are_products_too(ayon_core: None, tmp_path, monkeypatch) -> None:
+    files = {role: f"shot.{role}.usdc" for role in ("weights", "head", "controls")}
+    item = SimpleNamespace(first_frame=1)
+    extracted = Extracted(item, tmp_path, files)
+    monkeypatch.setattr("usdface.publish.extract_performance", lambda *_, **__: extracted)
+    instance = SimpleNamespace(data={"usdfaceItem": item})
+    load("ayon/plugins/publish/extract_face_performances.py").ExtractFacePerformance().process(
+        instance
+    )
+    found = {each["name"]: each for each in instance.data["representations"]}
+    assert {name: each["files"] for name, each in found.items()} == {
+        "usd": "shot.weights.usdc",
+        "head": "shot.head.usdc",
+        "controls": "shot.controls.usdc",
+    }
+    outputs = [each.get("outputName") for each in found.values()]
+    assert len(set(outputs)) == 3  # else AYON would give all one name
 
 
 def test_what_ayon_copies_stands_alone_under_any_name(shot: Shot, plugins, tmp_path) -> None:

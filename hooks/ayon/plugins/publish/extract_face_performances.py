@@ -7,10 +7,11 @@ from ayon_core.pipeline import publish  # imported classes would be taken for pl
 
 
 class ExtractFacePerformance(publish.Extractor):
-    """Make the weights layer with edits, and a sheet.
+    """Make the weights layer with edits, those of head and controls, and a sheet.
 
-    The layer has no references, because AYON renames files: sublayer or reference it over the
-    character. The sheet becomes the version's thumbnail, a movie its review.
+    The layers have no references, because AYON renames files: sublayer or reference them over the
+    character, the weights as the weakest. The sheet becomes the version's thumbnail, a movie its
+    review.
     """
 
     label = "Extract face performance"
@@ -31,7 +32,8 @@ class ExtractFacePerformance(publish.Extractor):
         except UsdfaceError as error:
             raise publish.PublishError(str(error), title=self.label) from error
         self._add(instance, extracted, "weights", "usd")
-        self._add(instance, extracted, "sheet", "sheet")
+        for role in ("head", "controls", "sheet"):
+            self._add(instance, extracted, role, role)
         self._add(instance, extracted, "movie", "review", ["review", "webreview"])
         sheet = extracted.path("sheet")
         if sheet is not None:
