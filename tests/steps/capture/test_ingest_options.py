@@ -6,17 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.c3d_write import write_c3d
 from tests.model.placement.test_plausibility import synthetic, with_sides_exchanged
 from usdface.core.assets import Markers, Take, Video, WeightsClip
 from usdface.core.errors import CheckFailedError, InputError
+from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 from usdface.steps.capture.ingest_folder import ingest_folder
 from usdface.steps.capture.merge_captures import cut_frames, exchange_sides, padding_notes
 from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
 
 RATE = 60
 
@@ -232,3 +235,28 @@ def test_a_table_of_markers_in_other_words_is_told_its_columns(tmp_path: Path) -
             )
     with pytest.raises(InputError, match=r"it must name a column time_s.*found Bild"):
         ingest(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize(
+    ("option", "moved"),
+    [({"scale": 2.0}, (2.0, 2.0, 2.0)), ({"mirrored": "axes"}, (-1.0, 1.0, 1.0))],
+)
+def test_the_head_of_a_cleaned_take_moves_with_its_markers(
+    tmp_path: Path, option: dict[str, object], moved: tuple[float, float, float]
+) -> None:
+    head = np.tile(np.eye(4), (60, 1, 1))
+    head[:, :3, :3] = Rotation.from_rotvec(np.linspace((0, 0, 0), (0.1, 0.7, 0.2), 60)).as_matrix()
+    head[:, :3, 3] = np.linspace((0, 0, 0), (30, 20, 10), 60)
+    markers = replace(synthetic(frames=60), space="stabilized", neutral_frame=1)
+    take = Take("t", Fraction(RATE), 1, markers=markers, head_motion=head, warnings=())
+    write_take(tmp_path / "t.take.usda", take, provenance=Provenance())
+    back, _ = ingest(tmp_path / "t.take.usda", **option)
+    assert back.markers is not None
+    assert back.head_motion is not None
+
+    def captured(motion: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        turned = np.einsum("fij,fmj->fmi", motion[:, :3, :3], positions)
+        return np.asarray(turned + motion[:, None, :3, 3])
+
+    found = captured(back.head_motion, back.markers.positions)
+    np.testing.assert_allclose(found, captured(head, markers.positions) * moved, atol=1e-2)

@@ -201,6 +201,10 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
         return take
     if spec.scale is not None:
         markers = replace(markers, positions=markers.positions * np.float32(spec.scale))
+        if take.head_motion is not None:
+            resized = np.diag([spec.scale, spec.scale, spec.scale, 1.0])
+            motion = resized @ take.head_motion @ np.linalg.inv(resized)
+            take = replace(take, head_motion=motion)
     if spec.rate is not None:
         rate = exact_rate(spec.rate, where="--rate")
         clip = None if take.source is None else replace(take.source, rate=rate)

@@ -33,7 +33,12 @@ def exchange_sides(take: Take, mirrored: str, *, where: object) -> Take:
         )
     if mirrored == "axes":
         reflected = markers.positions * np.array([-1, 1, 1], np.float32)
-        return replace(take, markers=replace(markers, positions=reflected))
+        mirror, motion = np.diag([-1.0, 1.0, 1.0, 1.0]), take.head_motion
+        return replace(
+            take,
+            markers=replace(markers, positions=reflected),
+            head_motion=None if motion is None else mirror @ motion @ mirror,
+        )
     partners = mirror_partners(markers.names)
     if not partners:
         raise InputError(
