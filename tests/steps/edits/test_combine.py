@@ -10,7 +10,7 @@ from pxr import Usd, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
-from usdface.specs.edits import CombineSpec, EditSpec
+from usdface.specs.edits import BakeSpec, CombineSpec, EditSpec, PackageSpec
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -64,6 +64,19 @@ def test_every_take_plays_on_the_character_by_its_variant(folder: Path) -> None:
         np.testing.assert_array_equal(found, expected)
     assert np.array_equal(PerformanceReader(out).edited(), weights[0])
     assert [each.message for each in validate(out) if each.severity == "error"] == []
+
+
+def test_what_is_made_of_the_take_that_is_shown_says_so(folder: Path) -> None:
+    paths = tuple(perform(folder / f"{name}.hero.usda", np.ones((4, 3))) for name in ("a", "b"))
+    out = folder / "hero.takes.usda"
+    execute(CombineSpec(performances=paths, out=out))
+    for spec in (
+        BakeSpec(performance=out, out=folder / "baked.usdc"),
+        PackageSpec(performance=out, out=folder / "packed.usdz"),
+    ):
+        assert any("of the takes a, b, only a is used" in note for note in execute(spec).notes)
+    alone = execute(BakeSpec(performance=paths[0], out=folder / "alone.usdc"))
+    assert not any("is used" in note for note in alone.notes)
 
 
 def test_takes_keep_their_names_in_any_script(folder: Path) -> None:

@@ -17,7 +17,7 @@ from usdface.specs.edits import BakeSpec
 from usdface.usdio.authoring import text_of
 from usdface.usdio.performance.driving_layers import DRIVING_PATHS, opened_driving_layer
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import writing_weights
+from usdface.usdio.performance.weights_layer import VARIANT_SET, writing_weights
 from usdface.usdio.rig.reference import read_rig_of_stage
 
 _BLOCK_FRAMES = 4096
@@ -77,8 +77,15 @@ def driving_notes(reader: PerformanceReader) -> list[str]:
 
 
 def _left_out(reader: PerformanceReader) -> list[str]:
-    """Return notes on what a stage of another rate leaves out: timecode and samples."""
+    """Return notes on what is left out: other takes; at another rate, timecode and samples."""
     notes = []
+    above = map(reader.stage.GetPrimAtPath, reader.animation.GetPath().GetPrefixes())
+    for takes in (prim.GetVariantSet(VARIANT_SET) for prim in above):
+        if len(others := takes.GetVariantNames()) > 1:
+            notes.append(
+                f"of the takes {first_few(others)}, only {takes.GetVariantSelection()} is used, "
+                "which the layer shows; give the performance of another by itself"
+            )
     if not reader.timecode_fits and text_of(reader.animation, "face:timecode:start"):
         notes.append(
             f"the timecode of the capture has no labels at {float(reader.rate):g} frames per "
