@@ -126,6 +126,16 @@ def sniff_delimiter(text: str) -> str | None:
     return best if best in text else None
 
 
+def next_line(
+    lines: Iterator[TableLine], path: Path, expected: str, *, empty: bool = False
+) -> TableLine:
+    """Return the next line of a header, by default the next that is not empty."""
+    for line in lines:
+        if empty or line.text.strip():
+            return line
+    raise InputError(f"{path}: the file ends before its header does ({expected}); copy it again")
+
+
 def read_header(lines: Iterator[TableLine]) -> tuple[TableLine, str, list[str]]:
     """Read the first line of a table: the line, the delimiter and the columns' titles."""
     header = next(lines)

@@ -20,6 +20,7 @@ from usdface.capture.sample_times import check_rate, resolve_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
     head_lines,
+    next_line,
     read_lines,
     read_number_table,
     read_rate,
@@ -43,13 +44,13 @@ def is_trc(head: bytes) -> bool:
 def read_trc(path: Path, options: CaptureOptions) -> Capture:
     """Read the markers of a TRC file; empty cells and ``NaN`` are gaps."""
     lines = read_lines(path)
-    _next(lines, path, "PathFileType")
-    keys = _next(lines, path, "names of the header values, DataRate first")
+    next_line(lines, path, "PathFileType")
+    keys = next_line(lines, path, "names of the header values, DataRate first")
     delimiter = sniff_delimiter(keys.text)
-    stated = _next(lines, path, "values of the header")
+    stated = next_line(lines, path, "values of the header")
     header = _header(split_cells(keys, delimiter), split_cells(stated, delimiter))
-    titles = _next(lines, path, "marker names")
-    axes = _next(lines, path, "X1 Y1 Z1 and so on")
+    titles = next_line(lines, path, "marker names")
+    axes = next_line(lines, path, "X1 Y1 Z1 and so on")
     labels = _labels(titles, axes, delimiter)
     columns = ["Frame#", "Time"] + [f"{label}.{axis}" for label in labels for axis in "XYZ"]
     unnamed: list[int] = []
@@ -149,11 +150,3 @@ def _states_count(text: str, count: int) -> bool:
         return not text or float(text) == count
     except ValueError:
         return False
-
-
-def _next(lines: Iterator[TableLine], path: Path, expected: str) -> TableLine:
-    """Return the next line that is not empty."""
-    for line in lines:
-        if line.text.strip():
-            return line
-    raise InputError(f"{path}: the file ends before its header does ({expected}); copy it again")

@@ -24,6 +24,7 @@ from usdface.capture.sample_times import resolve_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
     head_lines,
+    next_line,
     read_lines,
     read_number_table,
     read_rate,
@@ -78,7 +79,9 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
 
 def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:
     """Read the block whose title has just been read."""
-    rate_line, names_line, titles = (_next(lines, path) for _ in range(3))
+    rate_line, names_line, titles = (
+        next_line(lines, path, "the columns of trajectories", empty=True) for _ in range(3)
+    )
     if not _COLUMNS.match(titles.text):
         raise InputError(
             f"{titles.where}: begins {titles.text[:24]!r}; this line must begin with Frame and "
@@ -94,7 +97,7 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
         )
     # `subject:marker` is over every X alone.
     names = [*split_cells(names_line, delimiter), *[""] * len(axes)][: len(axes)]
-    unit_line = _next(lines, path)
+    unit_line = next_line(lines, path, "their units", empty=True)
     units = split_cells(unit_line, delimiter)
     has_units = not "".join(units[:2])  # else it is the first row
     others = len(axes) - 2 - 3 * len(starts)
@@ -131,9 +134,3 @@ def _one_unit(line: TableLine, cells: list[str], starts: list[int]) -> str:
             f"{line.where}: positions in several units ({first_few(units)}); export them in one"
         )
     return next(iter(units), "")
-
-
-def _next(lines: Iterator[TableLine], path: Path) -> TableLine:
-    for line in lines:
-        return line
-    raise InputError(f"{path}: the file ends within the header of its trajectories; copy it again")

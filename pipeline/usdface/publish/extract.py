@@ -135,10 +135,9 @@ def _extract(
     files = {"performance": opened.name, "weights": bake.out.name}
     driving = {"head": head_path(opened), "controls": controls_path(opened)}
     files |= {role: each.name for role, each in driving.items() if each.is_file()}
-    if item.take is None:
-        return Extracted(item, folder, files)
-    if reader.time_shift:
+    if item.take is not None and reader.time_shift:
         log.warning("%s: no pictures: a layer moves it %s", item.performance, reader.time_shift)
+    if item.take is None or reader.time_shift:
         return Extracted(item, folder, files)
     if review.sheet:
         sheet = folder / f"{item.name}.sheet.jpg"

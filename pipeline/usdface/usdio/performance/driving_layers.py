@@ -149,12 +149,6 @@ DRIVING_PATHS = (head_path, controls_path)
 _OF_JOINTS = ("translations", "rotations", "scales")
 
 
-def opens_layer(performance: Path, file: Path) -> bool:
-    """Whether a file is a sublayer of a performance."""
-    layer = open_layer(performance)  # keep a reference: prims do not outlive their layer
-    return sublayer_asset(layer, file, performance) in list(layer.subLayerPaths)
-
-
 def opened_driving_layer(
     stage: Usd.Stage, rig_path: str, beside: Callable[[Path], Path]
 ) -> tuple[Sdf.Layer, Sdf.LayerOffset] | None:
@@ -215,7 +209,8 @@ def join_driving_layers(
 
 def _driven(performance: Path, file: Path) -> list[str]:
     """Return the names of joints and the paths of attributes that a layer drives."""
-    if not opens_layer(performance, file):
+    top = open_layer(performance)  # keep a reference: prims do not outlive their layer
+    if sublayer_asset(top, file, performance) not in list(top.subLayerPaths):
         return []
     layer, driven = open_layer(file), list[str]()
     for path in paths_in(layer):
