@@ -114,6 +114,14 @@ def test_each_take_has_its_delay() -> None:
     assert delay_frames(mapping) == pytest.approx({"take": 3, "other": -2}, abs=0.6)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_one_take_in_sync_does_not_halve_the_delay_of_the_other(seed: int) -> None:
+    """The delay of all takes, from which each starts, is a mean of both."""
+    in_sync = keyed(OTHER, 0, seed=seed).rows(np.arange(12))
+    mapping = trained(joined(keyed(FIRST, 4, seed=seed), in_sync))
+    assert mapping.arrays["take_delay"] * RATE == pytest.approx([0, 4], abs=0.6)
+
+
 def test_one_delay_of_takes_with_few_pairs_each_is_found() -> None:
     few = [keyed(face, 3).rows(np.arange(8)) for face in (FIRST, OTHER)]
     assert not delay_frames(trained(few[0]))

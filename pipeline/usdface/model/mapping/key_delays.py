@@ -73,20 +73,18 @@ def _refine(
     """Return the delays with those of groups of pairs changed where that is significant."""
     found, longest = start.copy(), np.inf
     for _ in range(_ROUNDS):
-        if not members or longest < _PRECISION:
+        if longest < _PRECISION:
             break
         velocity, residual = whiten_pairs(*_fit_at(pairs, prior, trajectories, found))
-        changed, longest = [], 0.0
+        longest = 0.0
         for group in members:
             step, critical = measure_step(velocity[group], residual[group])
             if np.abs(found[group] + step - start[group]).max() < critical:
-                found[group] = start[group]
+                found[group] = start[group]  # later rounds may differ, as the other delays do
                 continue
             moved = found[group] + np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
             found[group] = np.clip(moved, -LARGEST_DELAY, LARGEST_DELAY)
             longest = max(longest, abs(step))
-            changed.append(group)
-        members = changed
     return found
 
 
