@@ -195,6 +195,22 @@ def test_a_blink_that_was_forgotten_is_named_by_its_region(wrong: float) -> None
     assert said.startswith(f"take {CHOSEN[pair]} (lids, ") if wrong == 1 else not said
 
 
+@pytest.mark.parametrize("forgotten", [False, True])
+def test_a_region_that_was_forgotten_in_half_of_the_pairs_is_named(forgotten: bool) -> None:
+    """Half of the pairs are no exception among them, so that none contradicts the usual ones."""
+    face = face_in_parts()
+    keys = face.weights[CHOSEN].copy()
+    at_rest = np.arange(0, len(CHOSEN), 2)
+    keys[at_rest, :2] = 0.0  # the brows
+    if not forgotten:
+        moved = np.einsum("fs,smc->fmc", face.weights[CHOSEN[at_rest], :2], face.shapes[:2])
+        face.positions[CHOSEN[at_rest]] -= moved
+    settings = trained(face, keys).settings
+    said = str(settings["forgotten"])
+    assert said.startswith("brows in take ") if forgotten else not said
+    assert str(settings["contradicted"]).count("brows") < 5
+
+
 @pytest.mark.parametrize("count", [25, 50, 100])
 def test_constants_of_few_errors_hold_with_confidence(count: int) -> None:
     """Three in four samples give a constant under which nine in ten of all errors lie."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.model.mapping.pair_gains import gain_groups, predict_log_factors, scale_keys
 from usdface.model.mapping.regions import FACE, marker_motion, region_points
 from usdface.model.regressions.base import Pairs, Regression
@@ -12,6 +12,7 @@ from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
 from usdface.model.regressions.frame_solve import LANDMARK_INFLATION, MARKER_INFLATION, FrameSolver
+from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.regression.marker_prior import fit_marker_basis
 from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
@@ -34,6 +35,9 @@ reaches 35, correct keys of a rig of 137 shapes up to 25."""
 _CONTRADICTION_MM = 0.5
 """Root mean square residual up to which a contradiction is not reported: keys are not set more
 precisely than this."""
+
+_CRITICAL_RANK_SUM = 2.58
+"""Standard deviations of a rank sum (Mann and Whitney 1947), p = .005; two pairs reach 2.45."""
 
 _ROUNDING_ERROR = 0.03
 """Largest tau that rounding of keys and leaving out small weights can cause. Up to it, corrections
@@ -241,6 +245,32 @@ def find_contradicted(
             worst[int(pair)] = max(worst.get(int(pair), entry), entry)
     ordered = sorted(worst.items(), key=lambda item: -item[1][2])
     return {pair: (region, residual_mm) for pair, (_, region, residual_mm) in ordered}
+
+
+def find_forgotten(forward: ForwardModel, parts: tuple[str, ...]) -> dict[str, IntArray]:
+    """Find regions that are 0 in some pairs though their markers move, as if they were forgotten.
+
+    `find_contradicted` compares with the median pair, and does not find what half of them have.
+    Here the residuals of the pairs at 0 are compared with those of the others: they are smaller if
+    the region rests there. Returns, by region, the pairs at 0 beyond the median of the others, the
+    largest residual first.
+
+    `parts`: part of the face of each shape.
+    """
+    found, shapes = {}, shapes_by_region(parts)
+    squared = (forward.residuals**2).sum(axis=2)
+    for region, markers in region_points(parts, forward.basis).items():
+        zero = np.asarray((forward.targets[:, shapes.get(region, [])] == 0).all(axis=1))
+        if zero.all():  # the face, and regions at rest
+            continue
+        rms_mm = np.sqrt(squared[:, markers].mean(axis=1))
+        products, larger = zero.sum() * (~zero).sum(), rms_mm[zero][:, None] > rms_mm[~zero]
+        deviation = np.sqrt(products * (len(squared) + 1) / 12)
+        moved = zero & (rms_mm > max(np.median(rms_mm[~zero]), _CONTRADICTION_MM))
+        if larger.sum() - products / 2 > _CRITICAL_RANK_SUM * deviation and moved.any():
+            order = np.argsort(-rms_mm, kind="stable")
+            found[region] = order[moved[order]]
+    return found
 
 
 def fit_rig_prior(pairs: Pairs) -> RigPrior:

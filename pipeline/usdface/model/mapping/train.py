@@ -9,6 +9,7 @@ from usdface.core.arrays import Arrays, FloatArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.progress import Progress, silent
 from usdface.core.rig_logic import logic_of
+from usdface.core.text import first_few
 from usdface.core.trajectories import displacements_at
 from usdface.model.mapping.candidates import (
     Comparison,
@@ -21,6 +22,7 @@ from usdface.model.mapping.checks import check_dimensions, check_references, che
 from usdface.model.mapping.corrected_pairs import (
     CorrectedPairs,
     find_contradicted,
+    find_forgotten,
     fit_pairs_forward,
     fit_rig_prior,
 )
@@ -304,7 +306,9 @@ def _key_settings(
     corrected = folds.corrected
     gains = mean_gains(corrected.log_factor, references.authors)
     late = {take: delay for take, delay in zip(references.takes, delays, strict=True) if delay}
+    names = [f"{take} {n}" for take, n in zip(references.takes, references.frames, strict=True)]
     contradicted = find_contradicted(corrected.uncorrected, folds.parts).items()
+    forgotten = find_forgotten(corrected.uncorrected, folds.parts).items()
     return {
         "pairs": len(references.weights),
         "performer": references.performer,
@@ -317,8 +321,10 @@ def _key_settings(
             for take, delay in late.items()
         ),
         "contradicted": "; ".join(
-            f"{references.takes[n]} {references.frames[n]} ({region}, {residual:.1f} mm)"
-            for n, (region, residual) in contradicted
+            f"{names[n]} ({region}, {residual:.1f} mm)" for n, (region, residual) in contradicted
+        ),
+        "forgotten": "; ".join(
+            f"{region} in {first_few(names[n] for n in at)}" for region, at in forgotten
         ),
     }
 

@@ -263,7 +263,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"{'is' if len(unseen) == 1 else 'are'} inferred from the rest of the face, and not "
             "included in the uncertainty; key them with `usdface edit`"
         )
-    notes += [*_offset_notes(references, mapping), *_delay_notes(mapping)]
+    notes += _offset_notes(references, mapping)
     pose_error_mm = float(mapping.settings.get("pose_error_mm", 0.0))
     if pose_error_mm:
         notes.append(pose_error_note("the references", pose_error_mm))
@@ -274,13 +274,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             "keys or landmarks of a video; face_map corrects keys towards the markers, other "
             "methods do not"
         )
-    notes += _gain_notes(mapping)
-    contradicted = str(mapping.settings.get("contradicted", ""))
-    if contradicted:
-        notes.append(
-            f"markers contradict the keys of {first_few(contradicted.split('; '))}: check these "
-            "pairs"
-        )
+    notes += [*_gain_notes(mapping), *_wrong_key_notes(mapping)]
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:
         notes.append(
@@ -301,15 +295,29 @@ def _offset_notes(references: References, mapping: TrainedMapping) -> list[str]:
     ]
 
 
-def _delay_notes(mapping: TrainedMapping) -> list[str]:
-    delays = str(mapping.settings.get("key_delays", ""))
-    if not delays:
-        return []
-    return [
-        f"by the markers, the keys of {first_few(delays.split('; '))} are not in sync with the "
-        "capture; the mapping is trained on the markers of the times that they describe. Correct "
-        "the video with `usdface align --offset` before more frames are keyed"
-    ]
+def _wrong_key_notes(mapping: TrainedMapping) -> list[str]:
+    """Return notes on keys that are late, that markers contradict, and that were forgotten."""
+    delays, contradicted, forgotten = (
+        str(mapping.settings.get(name, "")) for name in ("key_delays", "contradicted", "forgotten")
+    )
+    notes = []
+    if delays:
+        notes.append(
+            f"by the markers, the keys of {first_few(delays.split('; '))} are not in sync with the "
+            "capture; the mapping is trained on the markers of the times that they describe. "
+            "Correct the video with `usdface align --offset` before more frames are keyed"
+        )
+    if contradicted:
+        notes.append(
+            f"markers contradict the keys of {first_few(contradicted.split('; '))}: check these "
+            "pairs"
+        )
+    if forgotten:
+        notes.append(
+            f"all keys are 0, but the markers move, at the {forgotten}: key them, if they were "
+            "forgotten"
+        )
+    return notes
 
 
 def _gain_notes(mapping: TrainedMapping) -> list[str]:
