@@ -8,9 +8,12 @@ Computational Statistics and Data Analysis 54(4), 1167-1178: the cosine domain, 
 cross-validation (GCV) in it.
 """
 
+from itertools import combinations_with_replacement
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import dct, idct
+from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -39,20 +42,33 @@ _DIRECTIONS_AT_ONCE = 8
 def smooth_tracks(values: ArrayLike) -> FloatArray:
     """Minimise ``|x - y|² + penalty |third differences of x|²`` for every series (frames, series).
 
-    Each with the penalty of least GCV score. With the series mirrored at its ends, third
-    differences are diagonal in the cosine domain, so that smoothing takes two transforms.
+    Each with the penalty of least GCV score, in the cosine domain, in which third differences of
+    series that are mirrored at their ends are diagonal. The minimum is that of the series alone, by
+    its seven diagonals: mirrored, a head that turns at the end of a take would stop there.
     """
     y = np.asarray(values)
     frames, count = y.shape
-    smooth = np.empty(y.shape)
     if frames <= _DIFFERENCE_ORDER:
         return np.array(y, np.float64)
-    eigenvalues = difference_eigenvalues(frames)
+    smooth, bands = np.empty(y.shape), _squared_differences(frames)
     for columns in frame_blocks(count, frames=_COLUMNS_AT_ONCE):
         spectrum = dct(y[:, columns].astype(np.float64), axis=0, norm="ortho")
-        spectrum /= 1.0 + eigenvalues[:, None] * gcv_penalties(spectrum)
-        smooth[:, columns] = idct(spectrum, axis=0, norm="ortho", overwrite_x=True)
+        penalties = gcv_penalties(spectrum).tolist()
+        for column, penalty in enumerate(penalties, start=columns.start):
+            matrix = penalty * bands
+            matrix[-1] += 1.0
+            smooth[:, column] = solveh_banded(matrix, y[:, column], overwrite_ab=True)
     return smooth
+
+
+def _squared_differences(frames: int) -> FloatArray:
+    """Return the diagonals of ``D'D``, D the third differences, as of `solveh_banded`."""
+    stencil = (-1.0, 3.0, -3.0, 1.0)
+    bands = np.zeros((len(stencil), frames))
+    for row, column in combinations_with_replacement(range(len(stencil)), 2):
+        part = slice(column, column + frames - _DIFFERENCE_ORDER)
+        bands[_DIFFERENCE_ORDER + row - column, part] += stencil[row] * stencil[column]
+    return bands
 
 
 def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray) -> None:
