@@ -2,4 +2,4 @@
 
 _commands = ("describe",)
 
-_helpers = ("baseline",)
+_helpers = ("baseline", "train_notes")

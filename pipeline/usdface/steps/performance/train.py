@@ -1,6 +1,5 @@
 """Train a mapping on references."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +12,9 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination
 from usdface.core.sidecars import proposed_path
-from usdface.core.text import counted, first_few, pluralize, shell_word
+from usdface.core.text import counted, pluralize, shell_word
 from usdface.media.charts.eigenspace import draw_eigenspace
 from usdface.media.picture.image import write_image
-from usdface.model.mapping.head_space import pose_error_note
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.regions import offsets_at, skin_points
 from usdface.model.mapping.rig_match import rig_summary
@@ -24,14 +22,15 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.placement.rig_orientation import check_rig_upright
-from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.regressions.base import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
 from usdface.model.regressions.shape_sides import ShapeSides
-from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
+from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import rest_places
+from usdface.steps.performance.train_notes import mirrored_notes, training_notes
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_keyed_references, read_proposals
@@ -39,17 +38,6 @@ from usdface.usdio.references.weight_layers import read_keyed_references, read_p
 _ENOUGH_TUNED = 8
 """Tuned pairs from which training leaves out proposals. In the order of `select` 6 are enough; in
 one random order 8 were: the error falls by a quarter to a half (decision 39)."""
-
-_LEAST_GAIN_DEVIATION = 0.03
-"""Standard deviation of the gains of pairs that is reported; one animator's own is of that size."""
-
-_CRITICAL_T = 3.0
-"""All keys count as mirrored if Student's t of the mean cosine between the asymmetries of keys and
-proposals is below its negative."""
-_MIRRORED_COSINE, _LEAST_ASYMMETRY = -0.5, 0.15
-_LEAST_ASYMMETRY_SHARE = 0.3
-"""A pair counts as mirrored below this cosine; least length of both asymmetries, and of that of the
-keys relative to the keys: what is left of symmetric expressions by keys with errors of 15 %."""
 
 _SHOWN_MM = 0.5
 """Largest displacement of a marker by a full shape, below which markers do not show the shape."""
@@ -77,7 +65,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress) -> StepR
             "the other shapes cannot follow the markers; tune frames that show those the performer "
             "uses"
         )
-    notes += [*_correction_notes(mapping, references), variance_line(mapping)]
+    notes += [*training_notes(mapping, references), variance_line(mapping)]
     if spec.picture is not None:
         picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
         write_image(spec.picture, picture, metadata=provenance.metadata)
@@ -103,7 +91,7 @@ def _read_pairs(spec: TrainSpec) -> tuple[References, list[str]]:
             f"{spec.references}: no pair is tuned; tune some, or train without --tuned-only"
         )
     notes = [] if tuned == pairs or spec.tuned_only else [_proposals_note(spec, tuned, pairs)]
-    notes += _mirrored_notes(spec, references)
+    notes += mirrored_notes(spec.references, references)
     if spec.tuned_only or (tuned >= _ENOUGH_TUNED and not spec.all_pairs):
         references = references.rows(references.tuned)
     return references, notes
@@ -134,35 +122,6 @@ def _train(
         | {"uncertainty_proposals": _proposal_error(spec, mapping, references)},
         settings=mapping.settings | {"tuned": int(references.tuned.sum())},
     )
-
-
-def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
-    """Return a note on tuned pairs that are asymmetric the other way round than their proposals."""
-    rows = np.flatnonzero(references.tuned)
-    try:
-        proposals = read_proposals(proposed_path(spec.references), references)
-    except InputError:  # pairs without proposals, or with those of another rig
-        return []
-    other = mirrored_shapes(references.shape_names)
-    weights = np.stack([references.weights[rows], proposals[rows]])
-    weights[:, :, gaze_and_tongue_shapes(references.shape_names)] = 0.0
-    asymmetries = weights - weights[:, :, other]
-    sizes = np.linalg.norm(asymmetries, axis=2)
-    cosine = np.prod(asymmetries, axis=0).sum(axis=1) / np.maximum(np.prod(sizes, axis=0), 1e-12)
-    known = sizes.min(axis=0) > _LEAST_ASYMMETRY
-    judged = cosine[known]
-    if len(judged) > 1 and judged.mean() < -_CRITICAL_T * judged.std() / len(judged) ** 0.5:
-        which = "the keys"
-    else:
-        one_sided = sizes[0] > _LEAST_ASYMMETRY_SHARE * np.linalg.norm(weights[0], axis=1)
-        wrong = rows[known & one_sided & (cosine < _MIRRORED_COSINE)]
-        if not len(wrong):
-            return []
-        which = counted((1 + wrong).tolist(), "pair")
-    return [
-        f"left and right may be exchanged in {which}: where the rig's own solve of the markers "
-        "leans to one side, they lean to the other; M on the tuning page mirrors a pair"
-    ]
 
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
@@ -225,117 +184,6 @@ def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
         "scores": [vars(score) for score in mapping.scores],
         "references": mapping.references,
     }
-
-
-def _correction_notes(mapping: TrainedMapping, references: References) -> list[str]:
-    """Return notes on corrected or omitted pairs, and on shapes that markers do not show."""
-    notes = list(filter(None, [missing_parts_note(references.parts)]))
-    low, high = mapping.ranges.T
-    limited = (references.weights < low) | (references.weights > high)
-    if limited.any():
-        beyond = [mapping.shape_names[column] for column in np.flatnonzero(limited.any(axis=0))]
-        notes.append(
-            f"{pluralize(int(limited.sum()), 'weight')} of the pairs outside the range of "
-            f"{first_few(beyond, most=3)}, clamped to it: state the range on the rig "
-            "(`face:range`) if it is larger, or tune these pairs again"
-        )
-    still = str(mapping.settings.get("still_regions", ""))
-    if still:
-        notes.append(
-            f"no reference moves the {still.replace(',', ', ')}: weights there follow from the "
-            "rig's geometry only; tune frames in which they move"
-        )
-    unmarked = str(mapping.settings.get("unseen_regions", ""))
-    if unmarked:
-        notes.append(
-            f"no marker is on the {unmarked.replace(',', ' and the ')}: weights there are "
-            "extrapolated from the rest of the face; key them with `usdface edit`, or capture "
-            "them with markers"
-        )
-    unseen = [
-        references.shape_names[column]
-        for column in gaze_and_tongue_shapes(references.parts)
-        if references.weights[:, column].any()
-    ]
-    if unseen:
-        notes.append(
-            f"markers do not show gaze and tongue: {first_few(unseen, most=2)} "
-            f"{'is' if len(unseen) == 1 else 'are'} inferred from the rest of the face, and not "
-            "included in the uncertainty; key them with `usdface edit`"
-        )
-    notes += _offset_notes(references, mapping)
-    pose_error_mm = float(mapping.settings.get("pose_error_mm", 0.0))
-    if pose_error_mm:
-        notes.append(pose_error_note("the references", pose_error_mm))
-    key_error = float(mapping.settings.get("key_error", 0.0))
-    if key_error:
-        notes.append(
-            f"keys and markers differ by about {key_error:.0%} of the keys, as with inaccurate "
-            "keys or landmarks of a video; face_map corrects keys towards the markers, other "
-            "methods do not"
-        )
-    notes += [*_gain_notes(mapping), *_wrong_key_notes(mapping)]
-    repeated = len(references.frames) - int(mapping.settings["pairs"])
-    if repeated:
-        notes.append(
-            f"left out {pluralize(repeated, 'pair')} with the markers and weights of another"
-        )
-    return notes
-
-
-def _offset_notes(references: References, mapping: TrainedMapping) -> list[str]:
-    takes = json.loads(str(mapping.settings["pair_takes"]))
-    sizes = zip(takes, mapping.arrays["take_offset_mm"].tolist(), strict=True)
-    moved = [f"{take} ({size:.1f} mm)" for take, size in sizes if size]
-    if not moved:
-        return []
-    return [
-        f"by the keys, the markers of {first_few(moved)} are offset from {references.neutral_take},"
-        " as if applied again or by an expression held throughout: the offset is removed"
-    ]
-
-
-def _wrong_key_notes(mapping: TrainedMapping) -> list[str]:
-    """Return notes on keys that are late, that markers contradict, and that were forgotten."""
-    delays, contradicted, forgotten = (
-        str(mapping.settings.get(name, "")) for name in ("key_delays", "contradicted", "forgotten")
-    )
-    notes = []
-    if delays:
-        notes.append(
-            f"by the markers, the keys of {first_few(delays.split('; '))} are not in sync with the "
-            "capture; the mapping is trained on the markers of the times that they describe. "
-            "Correct the video with `usdface align --offset` before more frames are keyed"
-        )
-    if contradicted:
-        notes.append(
-            f"markers contradict the keys of {first_few(contradicted.split('; '))}: check these "
-            "pairs"
-        )
-    if forgotten:
-        notes.append(
-            f"all keys are 0, but the markers move, at the {forgotten}: key them, if they were "
-            "forgotten"
-        )
-    return notes
-
-
-def _gain_notes(mapping: TrainedMapping) -> list[str]:
-    """Return a note if keys of some pairs are larger than those of others, by author."""
-    deviation = float(mapping.settings.get("gain_deviation", 0.0))
-    if deviation < _LEAST_GAIN_DEVIATION:
-        return []
-    gains = str(mapping.settings.get("author_gains", ""))
-    whose = (
-        f"mean gain by author: {gains.replace(';', ',')}"
-        if gains
-        else "give the authors with `usdface references import --author`, as one gain for all keys "
-        "of an author is more exact"
-    )
-    return [
-        f"keys of the same expressions differ in gain between pairs, with a standard deviation of "
-        f"{deviation:.0%}, as those of several animators do; face_map uses their mean; {whose}"
-    ]
 
 
 def _proposals_note(spec: TrainSpec, tuned: int, pairs: int) -> str:
