@@ -21,7 +21,7 @@ from usdface.steps.references.from_edits import (
     write_extended,
 )
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import read_keyed_references
 
 MOST_FRAMES = 1000
 """Largest number of frames to add: ten times the default of `select`."""
@@ -29,7 +29,7 @@ MOST_FRAMES = 1000
 
 def run(spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Add the frames with the performance's weights as proposals."""
-    old = read_references(spec.references)
+    old = read_keyed_references(spec.references)
     reader = PerformanceReader(spec.performance)
     if reader.time_shift:
         raise InputError(

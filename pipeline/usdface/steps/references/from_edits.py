@@ -1,6 +1,7 @@
 """Add edited frames of performances to the references, as tuned pairs."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import starmap
 from pathlib import Path
@@ -38,6 +39,7 @@ from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.references.weight_layers import (
     SAME_WEIGHT,
     TunedPair,
+    read_keyed_references,
     read_proposals,
     read_tuned_pairs,
 )
@@ -61,7 +63,7 @@ strength."""
 
 def run(spec: ReferencesFromEditsSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Add the edited frames to the references as tuned pairs."""
-    old = read_references(spec.references)
+    old = read_keyed_references(spec.references)
     notes: list[str] = []
     edited: list[_EditedFrame] = []
     takes = pair_with_files(spec.performances, spec.take, "take")
@@ -192,7 +194,14 @@ def captured_markers(
     The motion is that of the markers in the references' space, at `TRAJECTORY_SECONDS`: (frames,
     times, markers, 3) [mm]. Markers that are not visible have the prediction from the others. Of
     references of takes that carry weights, it is the weights, in the order of their source names.
+    Frames that the take lacks are refused.
     """
+    beyond = frames[(frames < take.first_frame) | (frames > take.last_frame)]
+    if len(beyond):
+        raise InputError(
+            f"{take.path}: has frames {take.first_frame}-{take.last_frame}, so not "
+            f"{first_few(beyond.tolist())} of the performance; give the take it was made from"
+        )
     if old.source is not None:
         source = read_source_motion(take.path)
         columns = columns_by_name(source.weights, source.names, old.source_names)
@@ -260,13 +269,20 @@ def write_extended(
     provenance: Provenance,
     progress: Progress,
 ) -> tuple[Path, ...]:
-    """Write extended references, keeping tuned pairs; draw the coverage again; return the files."""
+    """Write extended references, keeping tuned pairs; draw the coverage again; return the files.
+
+    In place, the proposals of existing pairs are kept as well.
+    """
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))
     with tuning_lock(spec.out):
         notes += _left_out(spec.out, references)
-        tuned = _tuned_by_hand(spec, references, notes)
+        there = _replaced(spec.out)
+        tuned = _tuned_by_hand(spec, references, there, notes)
+        if there is not None and spec.out.resolve() == spec.references.resolve():
+            proposals = np.concatenate([there[1], references.weights[len(there[1]) :]])
+            references = replace(references, weights=proposals)
         write_references(
             spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
         )
@@ -276,20 +292,32 @@ def write_extended(
 
 
 def _tuned_by_hand(
-    spec: ReferencesFromEditsSpec | ReferencesAddSpec, references: References, notes: list[str]
+    spec: ReferencesFromEditsSpec | ReferencesAddSpec,
+    references: References,
+    there: tuple[References, FloatArray] | None,
+    notes: list[str],
 ) -> list[TunedPair]:
-    """Return the tuned pairs; weights tuned by hand in the replaced asset take precedence."""
-    by_hand = {} if spec.out.resolve() == spec.references.resolve() else _by_hand(spec.out)
+    """Return the tuned pairs; weights tuned by hand in the replaced asset take precedence.
+
+    In place, pairs with the same weights keep whether they are done.
+    """
+    by_hand: list[TunedPair] = []
+    in_place = spec.out.resolve() == spec.references.resolve()
+    if in_place:
+        marked = read_tuned_pairs(tuned_path(spec.out))
+        by_hand = [m for m in marked if references.weights_of(m.pair).items() <= m.weights.items()]
+    elif there is not None:
+        differs = np.abs(there[0].weights - there[1]).max(axis=1, initial=0.0) > SAME_WEIGHT
+        by_hand = [_tuned_pair(there[0], pair) for pair in np.flatnonzero(differs).tolist()]
+    known = {(each.take, each.frame): each for each in by_hand}
     tuned, kept = [], 0
-    for pair, take in enumerate(references.takes):
-        frame = int(references.frames[pair])
-        known = by_hand.get((take, frame))
-        if known is not None:
+    for pair, frame in enumerate(zip(references.takes, references.frames.tolist(), strict=True)):
+        if frame in known:
             kept += 1
-            tuned.append(replace(known, pair=pair))
+            tuned.append(replace(known[frame], pair=pair))
         elif references.tuned[pair]:
             tuned.append(_tuned_pair(references, pair))
-    if kept:
+    if kept and not in_place:
         notes.append(f"{spec.out}: kept as tuned there: {pluralize(kept, 'pair')}")
     return tuned
 
@@ -304,33 +332,20 @@ def _tuned_pair(references: References, pair: int) -> TunedPair:
     )
 
 
-def _by_hand(out: Path) -> dict[tuple[str, int], TunedPair]:
-    """Return the pairs of an asset, by take and frame, that differ from its proposals."""
-    if not out.is_file():
-        return {}
-    try:
+def _replaced(out: Path) -> tuple[References, FloatArray] | None:
+    """Return the asset that is replaced, and its proposals; None if missing or damaged."""
+    with suppress(InputError):
         existing = read_references(out)
-        proposals = read_proposals(proposed_path(out), existing)
-    except InputError:  # damaged
-        return {}
-    differs = np.abs(existing.weights - proposals).max(axis=1, initial=0.0) > SAME_WEIGHT
-    pairs = [_tuned_pair(existing, pair) for pair in np.flatnonzero(differs).tolist()]
-    return {(each.take, each.frame): each for each in pairs}
+        return existing, read_proposals(proposed_path(out), existing)
+    return None
 
 
 def _left_out(out: Path, references: References) -> list[str]:
     """Return a note on tuned pairs of the replaced asset that the new one lacks."""
     new = set(zip(references.takes, references.frames.tolist(), strict=True))
-    gone = [
-        each for each in read_tuned_pairs(tuned_path(out)) if (each.take, each.frame) not in new
-    ]
-    if not gone:
-        return []
-    frames = first_few(each.frame for each in gone)
-    return [
-        f"{out}: no longer pairs: {pluralize(len(gone), 'pair')} tuned there before, "
-        f"frames {frames}"
-    ]
+    gone = [p.frame for p in read_tuned_pairs(tuned_path(out)) if (p.take, p.frame) not in new]
+    words = f"{pluralize(len(gone), 'pair')} tuned there before, frames {first_few(gone)}"
+    return [f"{out}: no longer pairs: {words}"] if gone else []
 
 
 def _with_edited(old: References, edited: list[_EditedFrame], notes: list[str]) -> References:
