@@ -101,6 +101,8 @@ class SolveEvidence:
     def exceeds(self, limit_mm: float, least_coverage: float) -> dict[str, BoolArray]:
         """Return where each figure exceeds its limit, (frames, regions), by the limit's name.
 
+        With keys, of the frames that have some.
+
         Parameters
         ----------
         limit_mm : float
@@ -110,7 +112,8 @@ class SolveEvidence:
         """
         on_rig = self.on_rig(limit_mm)
         if self.error_mm is not None:
-            return {f"error over {on_rig:.2g} mm": np.nan_to_num(self.error_mm) > on_rig}
+            keyed = self.error_mm[~np.isnan(self.error_mm).all(axis=1)]
+            return {f"error over {on_rig:.2g} mm": np.nan_to_num(keyed) > on_rig}
         found = {}
         if self.uncertainty_mm is not None:
             found[f"expected error over {on_rig:.2g} mm"] = self.uncertainty_mm > on_rig
