@@ -19,6 +19,7 @@ from tests.small_scan import (
     small_scan_take,
     write_scan,
 )
+from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path
@@ -31,8 +32,10 @@ from usdface.specs.base import Spec
 from usdface.specs.references import SelectSpec
 from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
 from usdface.steps.surface import picture, plan
+from usdface.usdio.authoring import define_reference_prim
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 from usdface.usdio.surface.binding import read_binding
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
@@ -451,6 +454,20 @@ def test_a_mesh_without_shapes_asks_for_landmarks(folder: Path) -> None:
         InputError, match=r"no shapes from which markers could be placed.*at least 3"
     ):
         run(deform(folder, binding=None))
+
+
+def test_of_two_characters_in_a_file_the_mesh_has_its_own_shapes(tmp_path: Path) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    both = Sdf.Layer.CreateNew(str(tmp_path / "both.usda"))
+    for name in ("/A", "/B"):
+        define_reference_prim(both, Sdf.Path(name), "./rig.usda", Sdf.Path("/Hero"))
+    both.Save()
+    face = read_face_mesh(tmp_path / "both.usda", prim="/B/geo/skin")
+    assert [shape.name for shape in plan.add_shapes(face).shapes] == [
+        "jawOpen",
+        "eyeBlink",
+        "smile",
+    ]
 
 
 def test_landmarks_that_are_not_there_are_named_all_at_once(folder: Path, scan: Scan) -> None:

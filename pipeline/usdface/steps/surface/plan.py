@@ -72,7 +72,7 @@ def bind_take(
 def add_shapes(face: FaceMesh) -> RigMesh:
     """Return the mesh with its shapes, if its file is a rig."""
     try:
-        rig = read_rig(face.file, prim=None)
+        rig = read_rig(face.file, prim=face.root)
     except InputError:
         return face.mesh
     found = [mesh for mesh in rig.meshes if mesh.path == face.path]

@@ -220,6 +220,8 @@ class FaceMesh(BoundSurface):
     """(n, 3): per point or per corner of a face, in the file."""
     others: tuple[str, ...] = ()
     """Paths of the file's other meshes, which are not deformed."""
+    root: str | None = None
+    """Path of its SkelRoot, if it has one."""
 
     def to_mesh_space(self, moved_mm: FloatArray) -> FloatArray:
         """Return displacements in the mesh's space from those in millimetres: (..., points, 3)."""
@@ -245,7 +247,8 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     where = f"{path} <{chosen.GetPath()}>"
     check_not_instanced(path, chosen)
     _refuse_changing_topology(UsdGeom.Mesh(chosen), where)
-    rest = RestPose(UsdSkel.Root.Find(chosen), stage_to_ours(stage))
+    root = UsdSkel.Root.Find(chosen)
+    rest = RestPose(root, stage_to_ours(stage))
     mesh, local, placed = read_geometry(chosen, rest, where)
     corners = len(mesh.face_indices)
     if not (mesh.face_counts >= 3).any():
@@ -264,6 +267,7 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
         normals_attribute=attribute,
         authored_normals=authored,
         others=others,
+        root=str(root.GetPath()) if root else None,
     )
 
 
