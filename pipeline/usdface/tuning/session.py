@@ -18,6 +18,7 @@ from usdface.usdio.layers import read_provenance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import (
     TunedPair,
+    check_shown,
     check_tuned_layer,
     read_proposals,
     read_tuned_pairs,
@@ -82,6 +83,7 @@ class TuningSession:
         self.tuned_path = tuned_path(path)
         self.references: References = read_references(path)
         check_tuned_layer(self.tuned_path, self.references)
+        check_shown(path)
         self._proposals = read_proposals(proposed_path(path), self.references)
         self._column = index_of(self.references.shape_names)
         self._selected = [_signature(path), _signature(proposed_path(path))]

@@ -15,7 +15,11 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec
-from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
+from usdface.specs.references import (
+    ReferencesAddSpec,
+    ReferencesFromEditsSpec,
+    ReferencesImportSpec,
+)
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.authoring import author_series
@@ -51,8 +55,8 @@ def test_pairs_in_work_stay_so_and_keep_their_proposals(shot: Shot) -> None:
     np.testing.assert_array_equal(read_proposals(proposed_path(asset), after)[:-2], proposed)
 
 
-def test_pairs_keyed_in_a_dcc_are_tuned_afterwards(shot: Shot) -> None:
-    asset = shot / "hero.references.usda"
+def key_in_a_dcc(asset: Path) -> str:
+    """Key a shape of nine pairs in the asset itself, untuned before; return its name."""
     tuned_path(asset).unlink()
     layer = Sdf.Layer.FindOrOpen(str(proposed_path(asset)))
     names = list(layer.GetPrimAtPath(WEIGHTS_PATH).attributes["blendShapes"].default)
@@ -65,10 +69,28 @@ def test_pairs_keyed_in_a_dcc_are_tuned_afterwards(shot: Shot) -> None:
     rows = map(Vt.FloatArray.FromNumpy, weights)
     author_series(keyed.GetPrimAtPath(WEIGHTS_PATH), path.name, Sdf.ValueTypeNames.FloatArray, rows)
     keyed.Save()
+    return str(names[0])
+
+
+def test_pairs_keyed_in_a_dcc_are_tuned_afterwards(shot: Shot) -> None:
+    asset = shot / "hero.references.usda"
+    shape = key_in_a_dcc(asset)
     assert not read_references(asset).tuned.any()
     after = add(shot, asset)
     assert np.flatnonzero(after.tuned).tolist() == list(range(9))
-    assert (after.weights[:9, after.shape_names.index(names[0])] == 0.75).all()
+    assert (after.weights[:9, after.shape_names.index(shape)] == 0.75).all()
+
+
+def test_keys_that_hide_the_tuned_layer_are_named_before_anything_is_tuned(shot: Shot) -> None:
+    asset, told = shot / "hero.references.usda", r"its keys in hero.references.usda would hide"
+    key_in_a_dcc(asset)
+    before = tuned_path(asset).read_bytes()
+    with pytest.raises(InputError, match=told):
+        TuningSession(asset)
+    imported = ReferencesImportSpec(references=asset, weights=shot / "keys.csv")
+    with pytest.raises(InputError, match=told):
+        execute(imported, overwrite=True)
+    assert tuned_path(asset).read_bytes() == before
 
 
 def test_frames_that_another_take_lacks_are_no_pairs(shot: Shot) -> None:

@@ -26,7 +26,7 @@ from usdface.steps.inputs.weight_tables import (
     undo_clamping,
 )
 from usdface.steps.references.coverage import redraw_coverage
-from usdface.usdio.references.weight_layers import TunedPair, read_keyed_references
+from usdface.usdio.references.weight_layers import TunedPair, check_shown, read_keyed_references
 from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.take.read import read_first_frame
 
@@ -40,6 +40,7 @@ _CHANCE_PROBABILITY = 0.01
 def run(spec: ReferencesImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_keyed_references(spec.references)
+    check_shown(spec.references)
     given = _pairs_of_references(spec) or read_weight_table(
         spec.weights,
         known=references.shape_names,

@@ -11,7 +11,7 @@ from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.core.text import first_few
-from usdface.usdio.layers import open_layer, refusing_wrong_types
+from usdface.usdio.layers import open_layer, open_stage, refusing_wrong_types
 from usdface.usdio.references.read import (
     AUTHOR,
     DONE,
@@ -112,6 +112,20 @@ def check_tuned_layer(path: Path, references: References) -> None:
                 f"{path}: pair {pair + 1} was tuned for frame {frame} of {take}, and the "
                 f"references have frame {expected[0]} of {expected[1]} there: {_OTHER_SELECTION}"
             )
+
+
+def check_shown(path: Path) -> None:
+    """Refuse references with weights in a stronger layer, which would hide tuned ones."""
+    stage = open_stage(path)  # keep a reference: specs do not outlive their stage
+    stack = stage.GetAttributeAtPath(WEIGHTS_ATTRIBUTE).GetPropertyStack()
+    keyed = next((each.layer for each in stack if each.HasInfo("timeSamples")), None)
+    below = {each.resolve() for each in (tuned_path(path), proposed_path(path))}
+    if keyed is not None and Path(keyed.realPath).resolve() not in below:
+        raise InputError(
+            f"{path}: its keys in {Path(keyed.realPath).name} would hide what is tuned; nothing "
+            "was changed. Select again with --out of this asset and --overwrite, which makes them "
+            "tuned pairs, or remove these keys"
+        )
 
 
 def _layer_shapes(layer: Sdf.Layer) -> list[str] | None:
