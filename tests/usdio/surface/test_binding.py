@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd
+from pxr import Gf, Sdf, Usd
 
 from tests.small_scan import small_scan, write_scan
 from usdface.core.errors import InputError
@@ -14,7 +14,12 @@ from usdface.core.replacing import replacing
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.surface.surface_places import nearest_places
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
-from usdface.usdio.surface.binding import read_binding, write_binding
+from usdface.usdio.surface.binding import (
+    TRANSLATE,
+    correct_binding,
+    read_binding,
+    write_binding,
+)
 from usdface.usdio.validation import validate
 
 NAMES = ("brow", "lip upper", "lip_upper", "*7", "chin")
@@ -173,3 +178,26 @@ def test_a_correction_that_is_not_on_the_mesh_names_its_marker(
 def test_other_files_are_no_bindings(tmp_path: Path, face: FaceMesh) -> None:
     with pytest.raises(InputError, match="not a binding: its default prim has no FaceBindingAPI"):
         read_binding(tmp_path / "scan.usdc", face)
+
+
+def test_a_ball_moved_in_the_layer_to_open_is_a_correction_ever_after(
+    tmp_path: Path, bound: tuple[Path, MarkerBinding], face: FaceMesh
+) -> None:
+    path, binding = bound
+    correct(path, "chin", "face:binding:point", Sdf.ValueTypeNames.Int, 100)
+    stage = Usd.Stage.Open(str(path))  # as in a DCC, which saves the layer that it opened
+    ball = stage.GetAttributeAtPath(f"/Binding/Markers/brow.{TRANSLATE}")
+    ball.Set(ball.Get() + Gf.Vec3d(0.3, 0, 0))
+    stage.GetPrimAtPath("/Binding/Markers/lip_upper").SetActive(False)
+    stage.Save()
+    with pytest.raises(InputError, match=r"b\.usda: moves brow itself.*b\.corrected\.usda"):
+        correct_binding(path, {"brow": face.mesh.points[40]}, Provenance())
+    made = read_binding(path, face)
+    for _ in range(2):
+        write(tmp_path, binding, face)
+        again = read_binding(path, face)
+        assert (again.binding.sources, again.left_out) == (made.binding.sources, made.left_out)
+        at, before = (each.binding.places.positions(face.mesh.points) for each in (again, made))
+        np.testing.assert_allclose(at, before, atol=1e-6)
+    assert made.binding.sources.count("corrected") == 2
+    correct_binding(path, {"brow": face.mesh.points[40]}, Provenance())

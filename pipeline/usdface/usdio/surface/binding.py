@@ -88,16 +88,12 @@ def write_binding(
     stage = open_stage(face.file)
     proposal, corrections = proposed_path(path), corrected_path(path)
     written: dict[Path, Provenance | None] = {proposal: provenance, path: provenance}
-    if not corrections.is_file():
+    if has_corrections(path) or not corrections.is_file():
         written = {corrections: None, **written}
     with new_layers(written) as layers:
         *corrected, proposed, layer = layers
         for each in corrected:
-            author_units(each)
-            each.defaultPrim = _ROOT.name
-            each.comment = HOW_TO_CORRECT
-            for place in (_ROOT, _MARKERS):
-                Sdf.CreatePrimInLayer(each, place)
+            _author_corrections(each, corrections, path)
         _author_proposed(proposed, binding, face)
         if author is not None:
             author(proposed.GetPrimAtPath(_ROOT))
@@ -145,6 +141,24 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
         sources=sources,
     )
     return ReadBinding(binding, tuple(left_out), authors)
+
+
+def _author_corrections(layer: Sdf.Layer, corrections: Path, path: Path) -> None:
+    """Write corrections: those there are, below those that a DCC saved in the layer to open."""
+    author_units(layer)
+    layer.defaultPrim = _ROOT.name
+    layer.comment = HOW_TO_CORRECT
+    Sdf.CreatePrimInLayer(layer, _MARKERS)
+    if corrections.is_file():
+        layer.TransferContent(open_layer(corrections))
+    if has_corrections(path):
+        opened = open_layer(path)
+        for marker in opened.GetPrimAtPath(_MARKERS).nameChildren:
+            over = Sdf.CreatePrimInLayer(layer, marker.path)
+            if marker.HasActive():
+                over.active = marker.active
+            for each in marker.properties:
+                Sdf.CopySpec(opened, each.path, layer, each.path)
 
 
 def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurface) -> None:
@@ -303,7 +317,12 @@ def correct_binding(
     unknown = [name for name in places if name not in prims]
     if unknown:
         raise InputError(f"{path}: binds no marker {unknown[0]!r}; it has {first_few(prims)}")
-    corrections = corrected_path(path)
+    corrections, opened = corrected_path(path), open_layer(path)
+    if hidden := [name for name in places if opened.GetPrimAtPath(prims[name]) is not None]:
+        raise InputError(
+            f"{path}: moves {first_few(hidden)} itself, which would hide another correction; place "
+            f"or select again, which brings it to {corrections.name}"
+        )
     old = open_layer(corrections)
     with new_layer(corrections, made) as layer:
         layer.TransferContent(old)
