@@ -114,3 +114,7 @@ def test_frames_that_another_take_lacks_are_no_pairs(shot: Shot) -> None:
     spec = ReferencesFromEditsSpec.model_validate({**given, "take": (cut,), "out": asset})
     with pytest.raises(InputError, match=told.format("40, 41")):
         execute(spec, overwrite=True)
+    write_take(shot / "other.usda", replace(take, name="other"), provenance=Provenance())
+    another = spec.model_copy(update={"take": (shot / "other.usda",)})
+    with pytest.raises(InputError, match=r"is not the take of .*shot\.hero\.usda; leave out"):
+        execute(another, overwrite=True)

@@ -23,10 +23,10 @@ from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.origin import (
     find_made_by,
+    find_take,
     made_files,
     pair_with_files,
-    provenance_of,
-    spec_of,
+    take_name,
 )
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
@@ -379,12 +379,9 @@ def find_captured_take(performance: Path, old: References, moved: Path | None) -
 
     Or by that of the performance in a shot, or of parts.
     """
-    if moved is not None:
-        return TakeReader(moved)
-    step, field = ("map", "take") if old.source is None else ("retarget", "source")
+    step = "map" if old.source is None else "retarget"
     made = find_made_by(performance, step, {"join": "parts"})
-    named = spec_of(provenance_of(made)).get(field) if made else None
-    if made is None or not isinstance(named, str):
+    if made is None and moved is None:
         below = first_few(each.name for each in made_files(performance)[1:])
         raise InputError(
             f"{performance}: does not name the take it was made from"
@@ -392,9 +389,8 @@ def find_captured_take(performance: Path, old: References, moved: Path | None) -
             f"or give a performance that `usdface {step}` wrote, or one joined from such parts "
             "that still exist"
         )
-    take = made.resolve().parent / named
-    if not take.is_file():
-        raise InputError(
-            f"{performance}: its take, {take}, is gone; put it back, or give its new path by --take"
-        )
-    return TakeReader(take)
+    made = (made or performance).resolve()
+    take = TakeReader(moved or find_take(made, None))
+    if take_name(made) not in ("", take.name):
+        raise InputError(f"{take.path}: is not the take of {performance}; leave out --take")
+    return take
