@@ -20,7 +20,7 @@ from usdface.core.plugin_path import plugin_folders
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.steps.inputs.edit_ranges import performance_notes
-from usdface.usdio.authoring import author_gaps
+from usdface.usdio.authoring import author_gaps, define_reference_prim
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -256,6 +256,22 @@ def test_curves_between_captured_frames_are_one_finding(tmp_path: Path) -> None:
         each.message for each in validate(path)
     )
     assert not [each for each in validate(path) if each.check == "usdface:Curves"]
+
+
+def test_in_a_shot_each_character_has_its_own_ranges(tmp_path: Path) -> None:
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.timeCodesPerSecond = shot.framesPerSecond = 120
+    shot.startTimeCode, shot.endTimeCode = 1, FRAMES
+    for name, top in (("wide", 1.4), ("narrow", 0.9)):
+        (tmp_path / name).mkdir()
+        path = write(tmp_path / name, WEIGHTS * [top / 0.9, 1.0, 1.0])
+        rig = Sdf.Layer.FindOrOpen(str(tmp_path / name / "rig.usda"))
+        smile = rig.GetAttributeAtPath("/Hero/geo/skin/smile.face:range")
+        smile.default = (0.0, top)
+        rig.Save()
+        define_reference_prim(shot, Sdf.Path(f"/{name}"), f"./{name}/{path.name}", "/Hero")
+    shot.Save()
+    assert not [each for each in validate(tmp_path / "shot.usda") if "its range" in each.message]
 
 
 def test_a_shape_held_at_an_end_of_its_range_is_not_stuck(tmp_path: Path) -> None:

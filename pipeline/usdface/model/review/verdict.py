@@ -101,8 +101,6 @@ class SolveEvidence:
     def exceeds(self, limit_mm: float, least_coverage: float) -> dict[str, BoolArray]:
         """Return where each figure exceeds its limit, (frames, regions), by the limit's name.
 
-        With keys, of the frames that have some.
-
         Parameters
         ----------
         limit_mm : float
@@ -112,7 +110,7 @@ class SolveEvidence:
         """
         on_rig = self.on_rig(limit_mm)
         if self.error_mm is not None:
-            keyed = self.error_mm[~np.isnan(self.error_mm).all(axis=1)]
+            keyed = self.error_mm[~np.isnan(self.error_mm).all(axis=1)]  # others are not judged
             return {f"error over {on_rig:.2g} mm": np.nan_to_num(keyed) > on_rig}
         found = {}
         if self.uncertainty_mm is not None:

@@ -12,6 +12,7 @@ from usdface.usdio.authoring import read_gaps, value_of
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
 from usdface.usdio.layers import usdface_data
 from usdface.usdio.rig.read import RANGE_ATTRIBUTE, shape_prims
+from usdface.usdio.rig.reference import rig_path_of
 
 
 def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
@@ -154,7 +155,8 @@ def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
         return np.stack([samples.values.min(axis=0), samples.values.max(axis=0)], axis=1)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
     place = index_of(names)
-    for name, shape in shape_prims(prim.GetStage().GetPseudoRoot()):
+    stage = prim.GetStage()
+    for name, shape in shape_prims(stage.GetPrimAtPath(rig_path_of(stage, prim))):
         authored = value_of(shape, RANGE_ATTRIBUTE) if shape else None
         if name in place and authored is not None:
             ranges[place[name]] = list(authored)
