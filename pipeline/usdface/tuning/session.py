@@ -17,6 +17,7 @@ from usdface.tuning.journal import Change, Journal, flush_folder
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import (
+    SAME_WEIGHT,
     TunedPair,
     check_shown,
     check_tuned_layer,
@@ -24,9 +25,6 @@ from usdface.usdio.references.weight_layers import (
     read_tuned_pairs,
 )
 from usdface.usdio.references.write import write_tuned_layer
-
-_SAME_WEIGHT = 1e-6
-"""Difference below which weights are equal: layers have single precision."""
 
 
 class StaleRevisionError(InputError):
@@ -184,7 +182,7 @@ class TuningSession:
 
     def _tuned(self) -> BoolArray:
         away = np.abs(self._weights - self._proposals).max(axis=1, initial=0.0)
-        return np.asarray(self._done | (away > _SAME_WEIGHT))
+        return np.asarray(self._done | (away > SAME_WEIGHT))
 
     def _read_layer(self) -> None:
         """Read the weights from disk and apply unsaved changes."""
