@@ -208,7 +208,7 @@ def keyed_with_error(error: float) -> tuple[np.ndarray, np.ndarray, ForwardModel
 
 def test_keys_go_to_where_their_markers_put_them() -> None:
     weights, keys, model = keyed_with_error(0.15)
-    mode, variance = correct_keys(model, keys, 0.15)
+    mode, variance = correct_keys(model, keys, model.scales)
     before, after = (np.sqrt(((each - weights) ** 2).mean()) for each in (keys, mode))
     assert after < 0.5 * before
     assert (variance < 0.15**2 * (keys**2 + 0.04)).all()
@@ -216,7 +216,7 @@ def test_keys_go_to_where_their_markers_put_them() -> None:
 
 def test_keys_without_error_stay() -> None:
     _, keys, model = keyed_with_error(0.0)
-    mode, variance = correct_keys(model, keys, 0.0)
+    mode, variance = correct_keys(model, keys, model.scales)
     np.testing.assert_array_equal(mode, keys)
     assert not variance.any()
 
@@ -234,6 +234,6 @@ def test_the_variance_of_pairs_left_out_is_that_of_models_without_them(monkeypat
 def test_keys_of_rigs_of_very_many_shapes_stay(monkeypatch) -> None:
     _, keys, model = keyed_with_error(0.15)
     monkeypatch.setattr(frame_solve, "_MAX_DENSE_SHAPES", 0)
-    mode, variance = correct_keys(model, keys, 0.15)
+    mode, variance = correct_keys(model, keys, model.scales)
     np.testing.assert_array_equal(mode, keys)
     np.testing.assert_allclose(variance, 0.15**2 * (keys**2 + 0.04))

@@ -130,10 +130,12 @@ class PairFolds:
         """Training pairs of each fold."""
         corrected = self.corrected
         original = replace(corrected.pairs, outputs=corrected.original_keys)
-        scales = replace(corrected.forward.scales, tau=corrected.key_error)
         return [
             correct_pairs(
-                original.rows(fold.train), self.parts, landmarks=self._landmarks, scales=scales
+                original.rows(fold.train),
+                self.parts,
+                landmarks=self._landmarks,
+                scales=corrected.scales,
             )
             for fold in self.folds
         ]
@@ -251,7 +253,9 @@ def compare_candidates(
     default = next((entry for entry in scored if entry[1].method.name == AUTO[0]), best)
     before, after = (out.errors[:, observable] for _, _, out in (default, best))
     metric = pairs.face.gram[np.ix_(observable, observable)]
-    if paired_t(before, after, metric, folds.blocks) <= _CRITICAL_T:
+    # Other methods predict the zeros of keys that were not set, by which errors are measured.
+    unset = folds.corrected.scales.unset > 0
+    if unset or paired_t(before, after, metric, folds.blocks) <= _CRITICAL_T:
         best = default
     return Comparison(*best[1:], observable, tuple(score for score, _, _ in scored))
 

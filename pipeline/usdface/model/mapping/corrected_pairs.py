@@ -7,6 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.model.mapping.pair_gains import gain_groups, predict_log_factors, scale_keys
 from usdface.model.mapping.regions import FACE, marker_motion, region_points
+from usdface.model.mapping.unset_keys import with_unset_keys
 from usdface.model.regressions.base import Pairs, Regression
 from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
@@ -17,8 +18,9 @@ from usdface.numerics.regression.marker_prior import fit_marker_basis
 from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 
-_KEY_ROUNDS = 2
-"""Alternations of correcting the keys and fitting the forward model; more do not improve it."""
+_KEY_ROUNDS, _UNSET_ROUNDS = 2, 8
+"""Alternations of correcting the keys and fitting the forward model: more do not improve it, except
+where the keyed shapes have to give back the motion of those that were not set."""
 
 _GAIN_ROUNDS = 4
 """Alternations of estimating the gains and fitting the forward model; the last changes no gain by
@@ -45,6 +47,9 @@ are of errors that all pairs have in common."""
 
 _KEY_GRADIENT_STEPS = 200
 """Accelerated gradient steps of the correction, whose prior is ill-conditioned."""
+
+_LEAST_KEY_VARIANCE = 1e-8
+"""Smallest variance of a key in a pair of which others were not set."""
 
 KEY_INFLATION, _LANDMARK_KEY_INFLATION = 3.0, 243.0
 """Number of markers, and of landmarks, whose errors count as one independent error where keys are
@@ -74,8 +79,8 @@ class CorrectedPairs:
     """Posterior given the corrected keys."""
     original_keys: FloatArray
     """(pairs, shapes): keys of the references."""
-    key_error: float
-    """Relative standard deviation of the original keys' errors, `ForwardScales.tau`."""
+    scales: ForwardScales
+    """Of the forward model, with the errors of the original keys."""
     uncorrected: ForwardModel
     """Posterior given the original keys."""
     inflation: float
@@ -95,7 +100,7 @@ class CorrectedPairs:
     @property
     def has_random_errors(self) -> bool:
         """Whether the keys have more errors than those that all pairs have in common."""
-        return self.key_error > _ROUNDING_ERROR or bool(self.log_factor.any())
+        return self.scales.tau > _ROUNDING_ERROR or bool(self.log_factor.any())
 
 
 def correct_pairs(
@@ -105,7 +110,7 @@ def correct_pairs(
     landmarks: bool = False,
     scales: ForwardScales | None = None,
 ) -> CorrectedPairs:
-    """Fit the forward model, and correct the keys if their estimated error tau is positive.
+    """Fit the forward model, and correct the keys if they have errors.
 
     First gains (`pair_gains`), then each key.
 
@@ -116,33 +121,38 @@ def correct_pairs(
     landmarks : bool
         Whether the markers are landmarks detected in images, whose errors are correlated.
     scales : ForwardScales, optional
-        Fixed scales, with tau the error of the original keys; by default they are estimated.
+        Fixed scales, with the errors of the original keys; by default they are estimated.
     """
     original_keys, face = pairs.outputs, pairs.face
     key_inflation = _LANDMARK_KEY_INFLATION if landmarks else KEY_INFLATION
     prior = fit_rig_prior(pairs)
     uncorrected = fit_pairs_forward(pairs, scales, prior)
+    if scales is None and not landmarks:
+        uncorrected = with_unset_keys(
+            uncorrected, lambda unset: fit_pairs_forward(pairs, None, prior, unset=unset)
+        )
     pairs, forward, log_factor = _equalise_gains(
         pairs, uncorrected, parts, key_inflation, scales, prior
     )
     scales, keys = forward.scales, forward.targets
     low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
-    for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
-        mode, variance = correct_keys(forward, keys, scales.tau, inflation=key_inflation)
+    rounds = _UNSET_ROUNDS if scales.unset else _KEY_ROUNDS if scales.tau else 0
+    for _ in range(rounds):
+        mode, variance = correct_keys(forward, keys, scales, inflation=key_inflation)
         if mode is forward.targets:  # not corrected: too many shapes
             break
         corrected = low + span * unbend(mode, scales.curve)
         pairs = replace(pairs, outputs=corrected)
-        # The errors of corrected keys are those of the posterior.
-        share = variance.sum() / scales.key_variance(keys).sum()
+        # The errors of corrected keys are those of the posterior. Keys that left 0 count as set.
+        left = float(np.sqrt(variance.sum() / scales.key_variance(keys).sum()))
         forward = fit_pairs_forward(
-            pairs, replace(scales, tau=scales.tau * float(np.sqrt(share))), prior
+            pairs, replace(scales, tau=scales.tau * left, unset=scales.unset * left), prior
         )
     return CorrectedPairs(
         replace(pairs, forward=forward),
         forward,
         original_keys,
-        scales.tau,
+        scales,
         uncorrected,
         inflation=LANDMARK_INFLATION if landmarks else MARKER_INFLATION,
         log_factor=log_factor,
@@ -168,13 +178,14 @@ def _equalise_gains(
         )
         scaled = scale_keys(pairs, log_factor)
         forward = fit_pairs_forward(scaled, forward.scales, prior)
-    return scaled, fit_pairs_forward(scaled, scales, prior), log_factor
+    unset = forward.scales.unset
+    return scaled, fit_pairs_forward(scaled, scales, prior, unset=unset), log_factor
 
 
 def correct_keys(
     forward: ForwardModel,
     keys: FloatArray,
-    tau: float,
+    scales: ForwardScales,
     *,
     inflation: float = KEY_INFLATION,
 ) -> tuple[FloatArray, FloatArray]:
@@ -183,7 +194,7 @@ def correct_keys(
     The prior is centred on the keys. Half of its variance is a gain common to all shapes of the
     pair, half is independent per shape::
 
-        cov(t) = tau^2 (diag(t^2 + 1/25) + t t') / 2
+        cov(t) = tau^2 (diag(t^2 + 1/25) + t t') / 2 + unset^2 diag[t = 0]
 
     The likelihood is that of the leave-one-out residuals, linearised at the current keys.
 
@@ -196,15 +207,16 @@ def correct_keys(
     inflation : float
         Number of markers whose errors count as one.
     """
-    solver, current = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
+    solver, current = FrameSolver(forward, np.full(keys.shape[1], scales.tau)), forward.targets
     _, slope = solver.linearise(current)
     if slope is None:  # too many shapes for a Jacobian per pair: keys stay
-        return current, replace(forward.scales, tau=tau).key_variance(keys)
-    if tau == 0:
+        return current, scales.key_variance(keys)
+    if not scales.has_key_errors:
         return current, np.zeros_like(current)
     weighted = slope / np.repeat(inflation * forward.leave_one_out_variance, 3, axis=1)[:, None]
-    diagonal = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
-    precision = np.linalg.inv(0.5 * (diagonal + tau**2 * keys[:, :, None] * keys[:, None]))
+    half = replace(scales, tau=scales.tau / 2**0.5)
+    diagonal = (half.key_variance(keys) + _LEAST_KEY_VARIANCE)[:, None] * np.eye(keys.shape[1])
+    precision = np.linalg.inv(diagonal + half.tau**2 * keys[:, :, None] * keys[:, None])
     hessian = weighted @ slope.transpose(0, 2, 1) + precision
     gradient = (weighted @ forward.residuals.reshape(len(keys), -1, 1))[:, :, 0]
     gradient += (precision @ (keys - current)[:, :, None])[:, :, 0]
@@ -306,7 +318,11 @@ def fit_rig_prior(pairs: Pairs) -> RigPrior:
 
 
 def fit_pairs_forward(
-    pairs: Pairs, scales: ForwardScales | None = None, prior: RigPrior | None = None
+    pairs: Pairs,
+    scales: ForwardScales | None = None,
+    prior: RigPrior | None = None,
+    *,
+    unset: float = 0.0,
 ) -> ForwardModel:
     """Fit the forward model; by default its scales and the prior are estimated."""
     face, displaced, prior = pairs.face, pairs.displacements, prior or fit_rig_prior(pairs)
@@ -320,6 +336,7 @@ def fit_pairs_forward(
         expected=prior.basis,
         neutral=np.zeros(displaced.shape[1:]) if face.neutral is None else face.neutral,
         scales=scales,
+        unset=unset,
         lids=face.lids,
     )
     return replace(forward, driven=prior.driven)

@@ -313,7 +313,8 @@ def _key_settings(
         "pairs": len(references.weights),
         "performer": references.performer,
         "session": references.session,
-        "key_error": corrected.key_error,
+        "key_error": corrected.scales.tau,
+        "unset_keys": corrected.scales.unset,
         "gain_deviation": float(corrected.log_factor.std()),
         "author_gains": "; ".join(f"{author} {gain:.2f}" for author, gain in gains.items()),
         "key_delays": "; ".join(

@@ -12,11 +12,12 @@ zero for pairs of shapes of which one does not move the marker, so that shapes t
 rig stay local. Each coordinate of a marker is a Gaussian process in t with covariance and noise ::
 
     k_k(t, u) = offset^2 + sum_s t_s u_s var(D_sk) + eta^2 / m_k (sum_s t_s u_s |E_sk|^2)^2
-    noise     = sigma_k^2 + sum_s tau^2 (t_s^2 + 1/25) |E_sk|^2 / 3
+    noise     = sigma_k^2 + sum_s (tau^2 (t_s^2 + 1/25) + unset^2 [t_s = 0]) |E_sk|^2 / 3
 
 ``m_k``: mean squared motion of the marker [mm^2], at least 1; eta is dimensionless. The second term
 of the noise propagates the errors of the keys, which animators set by eye: standard deviation about
-tau at a weight of 1, tau / 5 at 0. The scales (alpha, floor, eta, tau, curve, and sigma per marker)
+tau at a weight of 1, tau / 5 at 0, and `unset` where small weights were not keyed
+(`model.mapping.unset_keys`). The other scales (alpha, floor, eta, tau, curve, and sigma per marker)
 maximise the marginal likelihood of the references (Rasmussen and Williams 2006, eq. 5.8) times the
 prior of sigma. Predictions, predictive variance and leave-one-out residuals have closed forms (eq.
 2.25, 2.26, 5.12). The motion of the rig's combination shapes is subtracted first (`driven_motion`).
@@ -111,10 +112,18 @@ class ForwardScales:
     """Standard deviation of the keys' relative error."""
     curve: float = 0.3
     """Parameter of `bend`."""
+    unset: float = 0.0
+    """Standard deviation of a bent weight whose key is exactly 0; not estimated with the others."""
 
-    def key_variance(self, targets: FloatArray) -> FloatArray:
-        """Return the variance of the errors of bent keys: (pairs, shapes), as `targets`."""
-        return np.asarray(self.tau**2 * (targets**2 + _ZERO_KEY_ERROR**2))
+    @property
+    def has_key_errors(self) -> bool:
+        """Whether the keys are taken to have errors."""
+        return max(self.tau, self.unset) > 0
+
+    def key_variance(self, keys: FloatArray) -> FloatArray:
+        """Return the variance of the errors of bent keys: (pairs, shapes), as `keys`."""
+        relative = self.tau**2 * (keys**2 + _ZERO_KEY_ERROR**2)
+        return np.asarray(relative + self.unset**2 * (keys == 0))
 
 
 @dataclass(frozen=True)
@@ -257,6 +266,7 @@ def fit_forward_model(
     expected: FloatArray,
     neutral: FloatArray,
     scales: ForwardScales | None = None,
+    unset: float = 0.0,
     lids: IntArray | None = None,
 ) -> ForwardModel:
     """Return the posterior given references, at the scales that maximise their evidence.
@@ -273,11 +283,13 @@ def fit_forward_model(
         Marker positions [mm].
     scales : ForwardScales, optional
         Fixed scales; by default they are estimated.
+    unset : float
+        The scale of this name, if the others are estimated.
     lids : int array, optional
         As of `weight_spread`.
     """
     if scales is None:
-        scales = _maximise_evidence(weights, displacements, expected, neutral)
+        scales = _maximise_evidence(weights, displacements, expected, neutral, unset)
     return _Prior(weights, displacements, expected, neutral, scales).posterior(lids)
 
 
@@ -304,13 +316,17 @@ def weight_spread(targets: FloatArray, lids: IntArray | None = None) -> FloatArr
 
 
 def _maximise_evidence(
-    weights: FloatArray, displacements: FloatArray, expected: FloatArray, neutral: FloatArray
+    weights: FloatArray,
+    displacements: FloatArray,
+    expected: FloatArray,
+    neutral: FloatArray,
+    unset: float,
 ) -> ForwardScales:
     """Return the scales of largest evidence, by coordinate ascent on a sample of the data."""
     rows = sample_frames(len(weights), _EVIDENCE_PAIRS)
     columns = sample_frames(len(neutral), _EVIDENCE_MARKERS)
     sample = weights[rows], displacements[rows][:, columns], expected[:, columns], neutral[columns]
-    scales, cache = ForwardScales(), dict[ForwardScales, float]()
+    scales, cache = ForwardScales(unset=unset), dict[ForwardScales, float]()
 
     def evidence(candidate: ForwardScales) -> float:
         if candidate not in cache:

@@ -73,6 +73,12 @@ def training_notes(mapping: TrainedMapping, references: References) -> list[str]
             "keys or landmarks of a video; face_map corrects keys towards the markers, other "
             "methods do not"
         )
+    if mapping.settings.get("unset_keys"):
+        notes.append(
+            "by the markers, shapes that are 0 in the pairs are not at rest, as if only the "
+            "largest were keyed: face_map follows the markers, other methods learn the zeros. Key "
+            "the smaller ones as well: it halves the error, or more"
+        )
     notes += [*_gain_notes(mapping), *_wrong_key_notes(mapping)]
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:
