@@ -24,7 +24,7 @@ REMEMBERED = (
     *PLACING,
     ("usdface.demo.rig", "bare_head"),
     ("usdface.model.mapping.corrected_pairs", "fit_pairs_forward"),
-    ("usdface.model.mapping.corrected_pairs", "fit_rig_prior"),
+    ("usdface.model.mapping.corrected_pairs", "fit_marker_basis"),
     ("usdface.model.mapping.evaluation", "points_by_region"),
     ("usdface.model.mapping.take_neutral", "find_offset"),
     ("usdface.model.regressions.forward_model", "_maximise_evidence"),
