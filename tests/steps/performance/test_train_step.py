@@ -59,6 +59,21 @@ def test_the_share_of_variance_is_that_of_the_take_and_the_eigen_space_is_drawn(
     assert read_picture(picture).std() > 10
 
 
+def test_keys_of_the_largest_shapes_alone_are_told(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, out = finished_shot / "hero.references.usda", tmp_path / "x.mapping.usdc"
+    pairs = read_references(given)
+    third = np.sort(pairs.weights, axis=1)[:, [-3]]
+    for weights, told in ((np.where(pairs.weights < third, 0, pairs.weights), True), (None, False)):
+        changed = pairs if weights is None else replace(pairs, weights=weights)
+        monkeypatch.setattr(
+            "usdface.steps.performance.train.read_keyed_references", lambda path, got=changed: got
+        )
+        notes = execute(TrainSpec(references=given, out=out, method="face_map")).notes
+        assert any("as if only the largest were keyed" in note for note in notes) is told
+
+
 def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
     finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
