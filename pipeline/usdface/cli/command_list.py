@@ -5,7 +5,6 @@ from typing import Any
 from typer.core import TyperGroup
 
 from usdface.cli.console import INTERRUPTED_MESSAGE
-from usdface.cli.spec_options import refuse_removed_options
 from usdface.core.errors import CancelledError
 
 EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
@@ -29,14 +28,6 @@ SUMMARY_LENGTH = 500
 # Types below are click's or, depending on Typer's version, those of its private copy of click.
 class CommandList(TyperGroup):
     """A group whose help lists commands by section, in the order of the workflow."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command; refuse removed options with advice."""
-        name, command, rest = super().resolve_command(ctx, args)
-        spec = getattr(getattr(command, "callback", None), "spec", None)
-        if spec is not None:
-            refuse_removed_options(spec, rest)
-        return name, command, rest
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; Ctrl+C raises CancelledError, where Typer would exit without a message."""

@@ -1,7 +1,6 @@
 """Commands generated from specs: each field is an option, and its docstring the help."""
 
 import inspect
-import itertools
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -112,20 +111,7 @@ def command_of(
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {each.name: each.annotation for each in parameters}
     command.__doc__ = help_of(spec)
-    command.spec = spec  # type: ignore[attr-defined]
     return command
-
-
-def refuse_removed_options(spec: type[Spec], arguments: list[str]) -> None:
-    """Refuse removed options and removed values of options, with advice."""
-    end = arguments.index("--") if "--" in arguments else len(arguments)
-    for argument, following in itertools.zip_longest(arguments[:end], arguments[1:end]):
-        option, equals, value = argument.partition("=")
-        flag = "--no-" if option.startswith("--no-") else "--"
-        name = option.removeprefix(flag).replace("-", "_") if option.startswith(flag) else ""
-        for removed in (name, f"{name}={value if equals else following}"):
-            if removed in spec.removed:
-                raise InputError(spec.removal(removed))
 
 
 def help_of(spec: type[Spec]) -> str:

@@ -143,10 +143,6 @@ class Spec(BaseModel):
     in_place: ClassVar[bool] = False
     """Whether an output may replace an input."""
 
-    removed: ClassVar[Mapping[str, str]] = {}
-    """Removed fields, and removed values as ``field=value``, each with its replacement; refused
-    with this advice."""
-
     only_with: ClassVar[OnlyWith] = {}
     """Options that need another option. Refused where they would be ignored."""
 
@@ -154,14 +150,6 @@ class Spec(BaseModel):
     """Options without effect if one of the others is given. Refused together."""
 
     step: str
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_value_was_removed(cls, data: Any) -> Any:
-        for name, value in data.items() if isinstance(data, dict) else ():
-            if f"{name}={value}" in cls.removed:
-                raise ValueError(cls.removal(f"{name}={value}"))
-        return data
 
     @model_validator(mode="after")
     def _no_option_is_ignored(self) -> Self:
@@ -214,11 +202,6 @@ class Spec(BaseModel):
     def step_name(cls) -> str:
         """Return the step's name, as in a job."""
         return str(cls.model_fields["step"].default)
-
-    @classmethod
-    def removal(cls, name: str) -> str:
-        """Return the message for a removed field or value."""
-        return f"{name.replace('=', ' ')} was removed from {cls.step_name()}; {cls.removed[name]}"
 
     @classmethod
     def workflow(cls) -> str:

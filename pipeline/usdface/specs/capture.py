@@ -1,6 +1,5 @@
 """Specs of capture: ingest, track, align, clean, phones."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -291,9 +290,6 @@ class CleanSpec(Spec):
     sidecars = (samples_path,)
     cores = 2
     memory_mib = 4096
-    removed: ClassVar[Mapping[str, str]] = {
-        "report": "the notes list the repairs, and `usdface report` shows repaired samples by frame"
-    }
 
     step: Literal["clean"] = "clean"
     take: Annotated[FilePath, Reads(), Positional()]

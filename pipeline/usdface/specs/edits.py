@@ -1,6 +1,5 @@
 """Specs of edits and publishing: edit, edits-import, bake, package."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -93,7 +92,6 @@ class EditsImportSpec(_EditedSpec, WeightTableSpec):
 
     example = "usdface edits import kitchen.hero.usda --changed kitchen.animator.usd"
     module = "edits.import_"
-    removed: ClassVar[Mapping[str, str]] = {"least": "differences below 0.002 are rounding"}
 
     step: Literal["edits-import"] = "edits-import"
     changed: ReadPath
@@ -138,7 +136,6 @@ class CombineSpec(Spec):
 
     example = "usdface combine kitchen.hero.usda stairs.hero.usda --out hero.takes.usda"
     module = "edits.combine"
-    removed: ClassVar[Mapping[str, str]] = {"shown": "give the performance to show first"}
 
     step: Literal["combine"] = "combine"
     performances: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]

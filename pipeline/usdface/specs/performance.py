@@ -1,6 +1,5 @@
 """Specs of performances: train, map, join."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -75,9 +74,6 @@ class MapSpec(Spec):
     module = "performance.map"
     makes = "performance"
     sidecars = (weights_path,)
-    removed: ClassVar[Mapping[str, str]] = {
-        "device": "weights are always predicted on the processor; leave it out"
-    }
     only_with: ClassVar[OnlyWith] = {
         "cutoff": ("temporal", ("whole", "causal")),
         "lag": ("temporal", ("causal",)),

@@ -143,8 +143,6 @@ def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
     name = str(location[-1])
     of_step = SPEC_BY_STEP.get(str(location[-2])) if len(location) > 1 else None
     owner = of_step or spec
-    if name in owner.removed:
-        return owner.removal(name)
     known = [field for field in owner.model_fields if field != "step"]
     return f"unknown key; {_did_you_mean(name, known, 'it can be')}"
 

@@ -1,6 +1,5 @@
 """Specs of references: place, select, import, from-edits, add, coverage, sheet."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -32,8 +31,6 @@ from usdface.specs.paths import (
     ReadPath,
     Reads,
 )
-
-_NO_MAPPING = {"mapping": "markers are read in the head space of the references; leave it out"}
 
 _Takes = Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
 
@@ -102,11 +99,6 @@ class SelectSpec(Spec):
     memory_mib = 8192
 
     never_with: ClassVar[NeverWith] = {"landmarks": ("placement",)}
-    removed: ClassVar[Mapping[str, str]] = {
-        "method=active": "it chose no better than design. Leave it out: a higher --count keeps the "
-        "tuned pairs, and --mapping proposes the others' weights",
-        "extremes": "`viseme` adds ten per emotion, as the paper; --count limits all pairs",
-    }
 
     step: Literal["select"] = "select"
     takes: _Takes
@@ -238,7 +230,6 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     makes = "references"
     sidecars = (proposed_path, samples_path)
     traces = ("performances",)
-    removed: ClassVar[Mapping[str, str]] = _NO_MAPPING
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -271,7 +262,6 @@ class ReferencesAddSpec(MovedRigSpec):
     makes = "references"
     sidecars = (proposed_path, samples_path)
     traces = ("performance",)
-    removed: ClassVar[Mapping[str, str]] = _NO_MAPPING
 
     step: Literal["references-add"] = "references-add"
     performance: Annotated[FilePath, Reads(), Positional()]

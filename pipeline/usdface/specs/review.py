@@ -1,6 +1,5 @@
 """Specs of review: sheet, movie, movie-join, report, faces, evaluate."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -83,7 +82,6 @@ class SheetSpec(ShotSpec, WeightTableSpec):
         "difference": ("layout", ("comparison", "worst")),
         "weight_unit": ("against", ()),
     }
-    removed: ClassVar[Mapping[str, str]] = {"pick=confidence": "use uncertainty"}
 
     step: Literal["sheet"] = "sheet"
     out: ImageOut
@@ -281,17 +279,6 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
 
     example = "usdface evaluate kitchen.hero.usda --against animator.csv --out kitchen.error.json"
     module = "review.evaluate"
-    removed: ClassVar[Mapping[str, str]] = {
-        f"max_{limit}": f"compare {figure} in the .json of --out with your limit"
-        for limit, figure in (
-            ("weight_rmse", "weight_rmse"),
-            ("vertex_rms", "skin_rms_mm"),
-            ("vertex_p95", "skin_p95_mm"),
-            ("lip_error", "lip_error_mm"),
-            ("blink_bias", "blink_bias"),
-            ("jitter", "jitter"),
-        )
-    } | {"unobservable": "gaze and tongue are recognised by name, or by the points they move"}
 
     step: Literal["evaluate"] = "evaluate"
     performance: Annotated[FilePath, Reads(), Positional()]

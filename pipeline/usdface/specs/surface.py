@@ -1,6 +1,5 @@
 """Specs of meshes and rigs: bind, deform, make-shapes, logic."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -67,10 +66,6 @@ _FOR_GP = ("sampler", "samples", "burn_in", "covariance", "priors", "prior_sprea
 class SurfaceSpec(Spec):
     """Options common to `deform` and `make-shapes`."""
 
-    removed: ClassVar[Mapping[str, str]] = {
-        "device": "leave it out: the processor is used",
-        "precision": "leave it out",
-    }
     only_with: ClassVar[OnlyWith] = {"quality": ("picture", ())}
     never_with: ClassVar[NeverWith] = {"blend": ("choose_blend",), "landmarks": ("binding",)}
 
@@ -235,10 +230,6 @@ class LogicSpec(WeightTableSpec):
 
     example = "usdface logic hero.usd --naming --out hero.logic.usda"
     module = "surface.logic"
-    removed: ClassVar[Mapping[str, str]] = {
-        "listed": "--json lists all combinations",
-        "metadata": "write a table with the columns shape and parts, and give it as --definition",
-    }
     only_with: ClassVar[OnlyWith] = {"weight_unit": ("weights", ())}
 
     step: Literal["logic"] = "logic"
