@@ -89,6 +89,11 @@ def test_few_pairs_count_as_set() -> None:
     assert unset_keys.with_unset_keys(forward, lambda unset: forward) is forward
 
 
+def test_keys_without_zeros_are_not_tested() -> None:
+    forward = fit_forward_model(WEIGHTS + 0.01, MOVED, expected=RIG, neutral=NEUTRAL)
+    assert unset_keys.with_unset_keys(forward, lambda unset: 1 / 0) is forward
+
+
 def test_the_likelihood_is_that_of_the_joint_normal_distribution() -> None:
     """Without quadratic term, so that the Jacobian is the basis."""
     scales = ForwardScales(eta=0.0, tau=0.1, curve=0.0, unset=0.08)

@@ -41,20 +41,18 @@ def with_unset_keys(forward: ForwardModel, fit: Callable[[float], ForwardModel])
     fit : callable
         Fit of the same, given the scale `ForwardScales.unset`.
     """
-    before = _log_likelihood(forward)
+    before = _log_likelihood(forward) if (forward.targets == 0).any() else None
     if before is None or len(before) < _MIN_PAIRS:
         return forward
     unset = fit(_UNSET_WEIGHT)
     after = _log_likelihood(unset)
-    if after is None or _t(after - before) < _CRITICAL_T:
+    if after is None:
+        return forward
+    gain = after - before
+    if gain.mean() <= _CRITICAL_T * gain.std(ddof=1) / len(gain) ** 0.5:
         return forward
     half = _log_likelihood(fit(_UNSET_WEIGHT / 2))
     return unset if half is not None and after.sum() > half.sum() else forward
-
-
-def _t(sample: FloatArray) -> float:
-    """Return Student's t of the mean of a sample."""
-    return float(sample.mean() / (sample.std(ddof=1) / len(sample) ** 0.5))
 
 
 def _log_likelihood(forward: ForwardModel) -> FloatArray | None:
