@@ -18,8 +18,9 @@ _UNSET_WEIGHT = 0.08
 _CRITICAL_T = 6.0
 """Student's t of the difference of log likelihood over pairs (decision 69)."""
 
-_MIN_PAIRS = 8
-"""Fewest pairs for the test."""
+_LEAST_ZEROS, _MIN_PAIRS = 0.75, 8
+"""Smallest share of keys that are 0, and fewest pairs: of 51 shapes, complete keys with 15 % error
+have up to 60 %, rounded ones 66 %, the 12 largest leave 76 %."""
 
 
 def with_unset_keys(forward: ForwardModel, fit: Callable[[float], ForwardModel]) -> ForwardModel:
@@ -41,8 +42,10 @@ def with_unset_keys(forward: ForwardModel, fit: Callable[[float], ForwardModel])
     fit : callable
         Fit of the same, given the scale `ForwardScales.unset`.
     """
-    before = _log_likelihood(forward) if (forward.targets == 0).any() else None
-    if before is None or len(before) < _MIN_PAIRS:
+    if (forward.targets == 0).mean() < _LEAST_ZEROS or len(forward.targets) < _MIN_PAIRS:
+        return forward
+    before = _log_likelihood(forward)
+    if before is None:
         return forward
     unset = fit(_UNSET_WEIGHT)
     after = _log_likelihood(unset)
