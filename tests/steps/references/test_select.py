@@ -198,7 +198,7 @@ def test_phones_and_emotions_go_with_takes(shot: Shot) -> None:
         spec(shot, emotions=("joy", "anger", "fear"))
     with pytest.raises(ValidationError, match="viseme needs --phones"):
         spec(shot, method="viseme")
-    with pytest.raises(ValidationError, match="active was removed"):
+    with pytest.raises(ValidationError, match="should be 'viseme', 'design' or 'both'"):
         spec(shot, method="active")
 
 

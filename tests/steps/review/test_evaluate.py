@@ -249,13 +249,6 @@ def test_json_and_picture_say_where_they_come_from(shot: Shot) -> None:
         execute(spec_of(shot, out=outputs[:1]))
 
 
-def test_options_that_went_say_what_to_use(shot: Shot, capsys) -> None:
-    arguments = ["evaluate", str(shot / "shot.hero.usda"), "--against", str(shot / "keys.csv")]
-    code, _, err = told([*arguments, "--max-vertex-rms", "0.01"], capsys)
-    assert code == 2
-    assert "compare skin_rms_mm in the .json of --out with your limit" in err
-
-
 def test_in_a_job_an_evaluation_that_writes_nothing_is_never_done(shot: Shot) -> None:
     text = "{step: evaluate, performance: shot.hero.usda, against: keys.csv}"
     (shot / "look.yaml").write_text(text)
