@@ -2,8 +2,9 @@
 
 All references are from the first half of `crosstake`. Near: its second half. Far: the same
 performer with the right side 20 s late (`onesided`: winks, half smiles), inexact keys, late keys,
-pairs of two animators with different gains, and brows with references of the cheeks. Keys and takes
-are read from files, as a user would make them; methods are trained and compared in memory.
+keys of the largest shapes only, pairs of two animators with different gains, and brows with
+references of the cheeks. Keys and takes are read from files, as a user would make them; methods are
+trained and compared in memory.
 
 Which references are selected is chance: takes that differ by 0.03 mm give others, which changes
 errors by up to a fifth. Figures are means over four selections, from frames that begin three
@@ -58,6 +59,9 @@ KEY_ERROR, DROPPED_BELOW, DROPPED_SHARE = 0.15, 0.1, 1 / 3
 
 LATE_FRAMES = 2
 """Late keys: those of the expression two frames before, 33 ms."""
+
+KEYED_SHAPES = (8, 12)
+"""Fewest and most shapes that are keyed where only the largest of each expression are."""
 
 TUNED_COUNTS = (4, 6, 8, 12, 25)
 
@@ -225,6 +229,8 @@ def read_setups(
     late = near[1][fifty.frames - near[0].first_frame - LATE_FRAMES]
     late = late[:, [near[2].index(shape) for shape in fifty.shape_names]]
     yield _setup("late keys", replace(fifty, weights=late), near, second)
+    keys_of_largest = replace(fifty, weights=_largest(fifty.weights))
+    yield _setup("largest keys", keys_of_largest, near, second)
     authors = tuple(np.resize(("first", "second"), len(fifty.weights)).tolist())
     yield _setup("named animators", replace(keys, authors=authors), near, second)
 
@@ -234,6 +240,12 @@ def _inexact(weights: np.ndarray, seed: int) -> np.ndarray:
     off = weights * (1 + KEY_ERROR * rng.standard_normal(weights.shape))
     off[(off < DROPPED_BELOW) & (rng.random(weights.shape) < DROPPED_SHARE)] = 0
     return np.clip(off, 0, 1)
+
+
+def _largest(weights: np.ndarray) -> np.ndarray:
+    counts = np.random.default_rng(0).integers(*KEYED_SHAPES, size=(len(weights), 1), endpoint=True)
+    ranks = np.argsort(np.argsort(-weights, axis=1), axis=1)
+    return np.where(ranks < counts, weights, 0)
 
 
 def _read_take(folder: Path) -> tuple[Take, np.ndarray, tuple[str, ...]]:
