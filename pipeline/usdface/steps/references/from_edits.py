@@ -269,20 +269,19 @@ def write_extended(
     provenance: Provenance,
     progress: Progress,
 ) -> tuple[Path, ...]:
-    """Write extended references, keeping tuned pairs; draw the coverage again; return the files.
+    """Write extended references, keeping tuned pairs and proposals of existing ones.
 
-    In place, the proposals of existing pairs are kept as well.
+    Draws the coverage again; returns the files.
     """
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))
     with tuning_lock(spec.out):
         notes += _left_out(spec.out, references)
-        there = _replaced(spec.out)
-        tuned = _tuned_by_hand(spec, references, there, notes)
-        if there is not None and spec.out.resolve() == spec.references.resolve():
-            proposals = np.concatenate([there[1], references.weights[len(there[1]) :]])
-            references = replace(references, weights=proposals)
+        tuned = _tuned_by_hand(spec, references, notes)
+        if (before := _with_proposals(spec.references)) is not None:
+            new = references.weights[len(before[1]) :]
+            references = replace(references, weights=np.concatenate([before[1], new]))
         write_references(
             spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
         )
@@ -294,31 +293,33 @@ def write_extended(
 def _tuned_by_hand(
     spec: ReferencesFromEditsSpec | ReferencesAddSpec,
     references: References,
-    there: tuple[References, FloatArray] | None,
     notes: list[str],
 ) -> list[TunedPair]:
     """Return the tuned pairs; weights tuned by hand in the replaced asset take precedence.
 
-    In place, pairs with the same weights keep whether they are done.
+    Pairs with the same weights keep whether they are done.
     """
-    by_hand: list[TunedPair] = []
-    in_place = spec.out.resolve() == spec.references.resolve()
-    if in_place:
-        marked = read_tuned_pairs(tuned_path(spec.out))
-        by_hand = [m for m in marked if references.weights_of(m.pair).items() <= m.weights.items()]
-    elif there is not None:
+    marked = {
+        (each.take, each.frame): each
+        for each in read_tuned_pairs(tuned_path(spec.references))
+        if references.weights_of(each.pair).items() <= each.weights.items()
+    }
+    by_hand: dict[tuple[str, int], TunedPair] = {}
+    there = _with_proposals(spec.out)
+    if there is not None and spec.out.resolve() != spec.references.resolve():
         differs = np.abs(there[0].weights - there[1]).max(axis=1, initial=0.0) > SAME_WEIGHT
-        by_hand = [_tuned_pair(there[0], pair) for pair in np.flatnonzero(differs).tolist()]
-    known = {(each.take, each.frame): each for each in by_hand}
-    tuned, kept = [], 0
-    for pair, frame in enumerate(zip(references.takes, references.frames.tolist(), strict=True)):
-        if frame in known:
-            kept += 1
-            tuned.append(replace(known[frame], pair=pair))
+        pairs = [_tuned_pair(there[0], pair) for pair in np.flatnonzero(differs).tolist()]
+        by_hand = {(each.take, each.frame): each for each in pairs}
+    frames = list(zip(references.takes, references.frames.tolist(), strict=True))
+    tuned = []
+    for pair, frame in enumerate(frames):
+        known = by_hand.get(frame, marked.get(frame))
+        if known is not None:
+            tuned.append(replace(known, pair=pair))
         elif references.tuned[pair]:
             tuned.append(_tuned_pair(references, pair))
-    if kept and not in_place:
-        notes.append(f"{spec.out}: kept as tuned there: {pluralize(kept, 'pair')}")
+    if kept := by_hand.keys() & frames:
+        notes.append(f"{spec.out}: kept as tuned there: {pluralize(len(kept), 'pair')}")
     return tuned
 
 
@@ -332,11 +333,11 @@ def _tuned_pair(references: References, pair: int) -> TunedPair:
     )
 
 
-def _replaced(out: Path) -> tuple[References, FloatArray] | None:
-    """Return the asset that is replaced, and its proposals; None if missing or damaged."""
+def _with_proposals(path: Path) -> tuple[References, FloatArray] | None:
+    """Return an asset and its proposals; None if missing or damaged."""
     with suppress(InputError):
-        existing = read_references(out)
-        return existing, read_proposals(proposed_path(out), existing)
+        existing = read_references(path)
+        return existing, read_proposals(proposed_path(path), existing)
     return None
 
 
