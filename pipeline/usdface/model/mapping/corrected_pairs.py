@@ -100,7 +100,8 @@ class CorrectedPairs:
     @property
     def has_random_errors(self) -> bool:
         """Whether the keys have more errors than those that all pairs have in common."""
-        return self.scales.tau > _ROUNDING_ERROR or bool(self.log_factor.any())
+        largest = max(self.scales.tau, self.scales.unset)
+        return largest > _ROUNDING_ERROR or bool(self.log_factor.any())
 
 
 def correct_pairs(

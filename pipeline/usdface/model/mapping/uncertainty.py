@@ -30,8 +30,8 @@ such that 90 % are within 1.645 sigma, as for a normal distribution. As few erro
 quantile poorly, its upper tolerance limit is used (Wilks 1941), and regions are shrunk towards the
 constant of the face.
 
-The errors are relative to the keys, to the corrected ones if keys have random errors, plus the
-variance of the solve by the jackknife (`PairFolds.squared_errors`, decision 37).
+The errors are relative to the keys, to the corrected ones if keys have random errors or were not
+set, plus the variance of the solve by the jackknife (`PairFolds.squared_errors`, decision 37).
 
 Errors of the keys of one shape average out over the pairs that show it, to a factor g_s on its
 motion that cross-validation shows only where these pairs are many::
@@ -51,6 +51,11 @@ still face as well::
 ``u``: share of proposals among the references. ``M^2``: mean squared motion of the face over the
 references. ``rho``: relative error of proposals, `_PROPOSAL_ERROR` a priori, updated by the changes
 that tuning made.
+
+The same holds for shapes that were left at 0 in most pairs (`unset_keys`). Their weights are
+learned with the error that their correction leaves, of deviation v, `ForwardScales.unset`::
+
+    sigma_g^2 + v^2 (sum_s G_gss) (w' G w / M^2 + 1) / 2
 """
 
 from dataclasses import dataclass, field
@@ -163,6 +168,8 @@ class UncertaintyModel:
         weights = unbend(solution.targets, solver.forward.scales.curve)
         diagonals = np.einsum("rss->sr", self.grams)
         squared += weights**2 @ (_gain_variance(solver.forward)[:, None] * diagonals)
+        if solver.forward.scales.unset:
+            squared += _unset_variance(solver.forward, self.grams, weights)
         share2, mean_motion2 = self.proposals
         if share2:
             squared += share2 * (squared_motion(self.grams, weights) + mean_motion2)
@@ -224,6 +231,14 @@ def _gain_variance(forward: ForwardModel) -> FloatArray:
     squared = forward.targets**2
     pairs = squared.sum(axis=0) / np.maximum(squared.max(axis=0), 1e-12)
     return np.asarray((forward.scales.tau**2 + _LEAST_KEY_ERROR**2) / np.maximum(pairs, 1.0))
+
+
+def _unset_variance(forward: ForwardModel, grams: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the variance by keys that were not set: (frames, regions) [mm^2]."""
+    keys = unbend(forward.targets, forward.scales.curve)
+    motion2, of_pairs2 = (squared_motion(grams[:1], each) for each in (weights, keys))
+    growth = (motion2 / of_pairs2.mean() + 1) / 2
+    return np.asarray(growth * forward.scales.unset**2 * np.einsum("rss->r", grams))
 
 
 def squared_motion(grams: FloatArray, weights: FloatArray) -> FloatArray:

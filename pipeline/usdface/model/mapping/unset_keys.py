@@ -15,8 +15,9 @@ from usdface.model.regressions.frame_solve import FrameSolver
 _UNSET_WEIGHT = 0.08
 """Root mean square of the bent weights that were not set, if of 51 shapes 8 to 12 are keyed."""
 
-_CRITICAL_T = 6.0
-"""Student's t of the difference of log likelihood over pairs (decision 69)."""
+_CRITICAL_T, _LEAST_GAIN = 4.0, 12.0
+"""Student's t over pairs of the difference of log likelihood, and its smallest mean: errors that
+markers have in common, which it takes for independent, make 10 (decision 69)."""
 
 _LEAST_ZEROS, _MIN_PAIRS = 0.75, 8
 """Smallest share of keys that are 0, and fewest pairs: of 51 shapes, complete keys with 15 % error
@@ -32,8 +33,7 @@ def with_unset_keys(forward: ForwardModel, fit: Callable[[float], ForwardModel])
         log p(r) = log N(r; 0, diag(s^2) + J' diag(v) J)
 
     ``s^2``: their variance without the error of the pair's own keys. ``v``: variance of the keys,
-    `ForwardScales.key_variance`. ``J``: Jacobian of the markers. If half of `_UNSET_WEIGHT` makes
-    them more probable, keys are inexact or rounded, where correcting zeros alone adds errors.
+    `ForwardScales.key_variance`. ``J``: Jacobian of the markers.
 
     Parameters
     ----------
@@ -52,10 +52,8 @@ def with_unset_keys(forward: ForwardModel, fit: Callable[[float], ForwardModel])
     if after is None:
         return forward
     gain = after - before
-    if gain.mean() <= _CRITICAL_T * gain.std(ddof=1) / len(gain) ** 0.5:
-        return forward
-    half = _log_likelihood(fit(_UNSET_WEIGHT / 2))
-    return unset if half is not None and after.sum() > half.sum() else forward
+    least = max(_LEAST_GAIN, _CRITICAL_T * gain.std(ddof=1) / len(gain) ** 0.5)
+    return unset if gain.mean() > least else forward
 
 
 def _log_likelihood(forward: ForwardModel) -> FloatArray | None:
