@@ -8,10 +8,11 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from usdface.core.assets import References, TrainedMapping
-from usdface.model.mapping import unset_keys
+from usdface.model.mapping import uncertainty, unset_keys
 from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.forward_model import ForwardScales, fit_forward_model
 
 pytestmark = pytest.mark.usefixtures("without_comparison")
@@ -76,6 +77,22 @@ def test_weights_that_were_not_set_are_found(monkeypatch) -> None:
     as_set = trained(largest())
     assert as_set.settings["unset_keys"] == 0
     assert error(found) < 0.8 * error(as_set)
+
+
+def test_half_of_the_error_that_they_leave_grows_with_the_motion(monkeypatch) -> None:
+    found = trained(largest())
+    _, moved = drawn(50, 2)
+    with_error = WeightPredictor(found).predict(NEUTRAL + moved)
+    monkeypatch.setattr(uncertainty, "_unset_variance", lambda *given: 0.0)
+    without = WeightPredictor(found).predict(NEUTRAL + moved)
+    arrays = found.arrays
+    gram, left = arrays["uncertainty_grams"][0], arrays["forward_scales"][5]
+    keys = unbend(arrays["forward_targets"], arrays["forward_scales"][4])
+    of_pairs, of_frames = (np.einsum("ns,st,nt->n", w, gram, w) for w in (keys, without.weights))
+    expected = left**2 * np.trace(gram) * (1 + of_frames / of_pairs.mean()) / 2
+    added = (with_error.uncertainty**2 - without.uncertainty**2)[:, 0]
+    np.testing.assert_allclose(added, expected, rtol=1e-4)
+    assert 0 < left < found.settings["unset_keys"]
 
 
 @pytest.mark.parametrize("deviation", [0.0, 0.15])
