@@ -1,5 +1,6 @@
 """Specs: what is accepted, what is refused, and with which words."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -82,6 +83,27 @@ def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["{job: a, job: b, steps: []}", '{"job": "a", "job": "b"}'])
 def test_a_key_given_twice_is_refused_with_its_place(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputError, match=r"line 1, column \d+: job is given twice in one table"):
+        read_job(write(tmp_path, text))
+
+
+def test_json_may_have_tabs_and_escaped_characters_beyond_16_bits(tmp_path: Path) -> None:
+    step = {"step": "clean", "take": "a\U0001f600.usda", "out": "b.usda"}
+    text = json.dumps({"job": "\U0001f600", "steps": [step]}, indent="\t")
+    job = read_job(write(tmp_path, "\ufeff" + text, "c.json"))
+    assert "\\ud83d" in text
+    assert (job.job, job.steps[0].paths(Reads)) == ("\U0001f600", (tmp_path / step["take"],))
+
+
+@pytest.mark.parametrize("number", ["0120", "-077", "0_7"])
+def test_a_number_that_yaml_reads_with_base_8_is_refused(tmp_path: Path, number: str) -> None:
+    text = f"job: a\nsteps: [{{step: clean, take: a.usda, out: b.usda, neutral: {number}}}]\n"
+    with pytest.raises(InputError, match=rf"line 2, column \d+: YAML reads {number} with base 8"):
+        read_job(write(tmp_path, text))
+
+
+def test_a_word_that_yaml_reads_as_a_boolean_needs_quotes(tmp_path: Path) -> None:
+    text = "{step: ingest, sources: [a.c3d], out: b.usda, mirrored: no}"
+    with pytest.raises(InputError, match=r"mirrored: it can be labels, axes, no; in quotes, as"):
         read_job(write(tmp_path, text))
 
 

@@ -171,7 +171,7 @@ def read_path_rules(path: Path) -> PathRules:
     try:
         if path.stat().st_size > LARGEST_RULES_BYTES:
             raise InputError(f"{path}: is too large for path mapping rules")
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
     except (ValueError, RecursionError) as error:

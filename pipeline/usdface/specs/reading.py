@@ -1,6 +1,9 @@
 """Read specs from YAML or JSON, and write them."""
 
+import contextlib
 import difflib
+import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -125,7 +128,9 @@ def fault_reason(fault: Mapping[str, Any], spec: type[Spec] = Spec) -> str:
     given = fault.get("input")
     if fault["type"] == "literal_error":
         allowed = str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
-        return f"{_did_you_mean(str(given), allowed)} (got {given!r})"
+        quoted = "; in quotes, as YAML reads yes, no, on and off as true or false"
+        remedy = _did_you_mean(str(given), allowed) + (quoted if isinstance(given, bool) else "")
+        return f"{remedy} (got {given!r})"
     if fault["type"] == "string_pattern_mismatch":
         reason = PATTERN_WORDS.get(str(context["pattern"]), str(fault["msg"]))
     elif fault["type"] in FAULT_WORDS:
@@ -157,6 +162,8 @@ LARGEST_SPEC_BYTES = 16 << 20
 
 MOST_VALUES = 1_000_000
 """Limit of values; YAML aliases can expand a few lines to billions."""
+
+_OCTAL = re.compile(r"[-+]?0[0-7_]+")
 
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
@@ -212,13 +219,16 @@ def _read_data(path: Path) -> Any:
             )
         if not (path.is_file() or path.is_dir()):
             raise InputError(f"{path}: is a pipe or a device; write the spec to a file")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: is no YAML or JSON, as a job or spec is: not UTF-8 at byte {error.start}"
         ) from error
+    # As YAML, JSON must not have tabs, nor characters of two surrogates.
+    with contextlib.suppress(ValueError, RecursionError):
+        return json.loads(text, object_pairs_hook=_table_of_json)
     try:
         loader = yaml.SafeLoader(text)
         node = loader.get_single_node()
@@ -233,13 +243,24 @@ def _read_data(path: Path) -> Any:
     return data
 
 
+def _table_of_json(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a table; `ValueError` if a key is given twice, whose place YAML's parser names."""
+    if len(dict(pairs)) < len(pairs):
+        raise ValueError
+    return dict(pairs)
+
+
 def _count_values(node: "yaml.Node | None", counts: dict[int, int]) -> int:
     """Return the number of values that a node stands for.
 
-    Refuses too many, and keys given twice in one table, of which YAML would use the last.
+    Refuses too many, keys given twice in one table, of which YAML would use the last, and numbers
+    that YAML reads with base 8.
     """
     import yaml
 
+    if node and node.tag == "tag:yaml.org,2002:int" and _OCTAL.fullmatch(node.value):
+        problem = f"YAML reads {node.value} with base 8; leave out the 0, or quote it if it is text"
+        raise yaml.MarkedYAMLError(None, None, problem, node.start_mark)
     if not isinstance(node, yaml.CollectionNode):
         return 1
     if id(node) in counts:  # aliases share nodes
