@@ -55,7 +55,7 @@ class ReviewNote(BaseModel):
     @property
     def span(self) -> tuple[int, int]:
         """First and last frame."""
-        return self.frame, max(self.last or self.frame, self.frame)
+        return self.frame, self.frame if self.last is None else max(self.last, self.frame)
 
     @property
     def is_correction(self) -> bool:
