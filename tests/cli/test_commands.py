@@ -52,6 +52,24 @@ def test_the_installed_command_tells_its_version() -> None:
     assert done.stdout == f"usdface {__version__}\n"
 
 
+@pytest.mark.parametrize("as_json", [(), ("--json",)])
+def test_names_are_printed_in_locales_that_lack_their_letters(
+    tmp_path: Path, as_json: tuple[str, ...]
+) -> None:
+    write_rig(tmp_path / "顔.usda", small_rig())
+    for out, code in (("a.csv", 0), ("無/a.csv", 2)):
+        done = subprocess.run(
+            [Path(sys.executable).with_name("usdface"), "names", "顔.usda", "--out", out, *as_json],
+            capture_output=True,
+            env=os.environ | {"PYTHONIOENCODING": "ascii"},
+            cwd=tmp_path,
+        )
+        assert done.returncode == code, done.stderr
+        printed = done.stdout.decode("ascii")
+        if as_json:
+            assert out in json.dumps(json.loads(printed), ensure_ascii=False)
+
+
 GROUPS = ("references", "pairs", "edits")
 
 

@@ -157,8 +157,8 @@ def show_details(report: StepResult) -> None:
 
 
 def show_json(data: Any) -> None:
-    """Print one JSON document for a script."""
-    _print(json.dumps(data, indent=2, ensure_ascii=False, default=str) + "\n")
+    """Print one JSON document for a script, in ASCII, which any locale can print."""
+    _print(json.dumps(data, indent=2, default=str) + "\n")
 
 
 def _visible(text: str) -> str:
@@ -168,8 +168,9 @@ def _visible(text: str) -> str:
 
 def _print(text: str) -> None:
     """Write to standard output and flush; raise InputError if it cannot be written."""
+    encoding = sys.stdout.encoding or "utf-8"  # may lack characters of names, as of ASCII
     try:
-        sys.stdout.write(text)
+        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
         sys.stdout.flush()
     except BrokenPipeError:  # typer ends quietly
         raise

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from usdface.core.confinement import check_may_open
+from usdface.core.errors import InputError
 from usdface.core.version import __version__
-
-READ_SIZE = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -60,9 +59,13 @@ def hash_files(files: list[Path]) -> str:
     digests = []
     for path in files:
         check_may_open(path)
-        single = hashlib.sha256()
-        with path.open("rb") as stream:
-            while block := stream.read(READ_SIZE):
-                single.update(block)
-        digests.append(path.name.encode("utf-8") + b"\0" + single.digest())
+        try:
+            with path.open("rb") as stream:
+                content = hashlib.file_digest(stream, "sha256")
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be read: {error.strerror}; check its permissions, and that it is "
+                "still there"
+            ) from error
+        digests.append(path.name.encode("utf-8") + b"\0" + content.digest())
     return hashlib.sha256(b"".join(sorted(digests))).hexdigest()
