@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
@@ -11,6 +12,7 @@ from usdface.core.errors import InputError
 from usdface.farm.bundle import FIRST_LINE, bundle_hash, compose_bundle, write_bundle
 from usdface.farm.plan import FarmStep, plan_job
 from usdface.farm.submit import submit
+from usdface.media.picture.image import write_image
 from usdface.specs.capture import CleanSpec
 from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import JobSpec
@@ -155,6 +157,17 @@ def test_what_workers_need_is_named_and_what_they_make_is_not(tmp_path: Path) ->
     )["assetReferences"]
     assert references["inputs"]["filenames"] == ["/s/x", "/s/x.samples.usdc"]
     assert references["outputs"]["directories"] == ["/s"]
+
+
+def test_all_pictures_of_a_sequence_are_carried_to_a_farm(tmp_path: Path) -> None:
+    for number in (7, 8):
+        write_image(tmp_path / f"shot.{number}.png", np.zeros((8, 8, 3), np.uint8))
+    job = tmp_path / "job.yaml"
+    job.write_text("{step: track, video: shot.7.png, video_rate: 24, out: a.take.usda}")
+    bundle = submit(SubmitSpec(job=job, write_only=True)).bundle
+    carried = yaml.safe_load((bundle / "asset_references.yaml").read_text())["assetReferences"]
+    names = [Path(each).name for each in carried["inputs"]["filenames"]]
+    assert names == ["shot.7.png", "shot.8.png"]
 
 
 def test_a_job_whose_input_is_missing_is_refused_before_it_waits_in_a_queue(tmp_path: Path) -> None:

@@ -3,15 +3,18 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
+from usdface.media.picture.image import write_image
 from usdface.runner.execute import execute
-from usdface.runner.origin import make_provenance, provenance_of, traced_files
+from usdface.runner.origin import input_files, make_provenance, provenance_of, traced_files
 from usdface.runner.state import step_state
-from usdface.specs.capture import CleanSpec
+from usdface.specs.capture import CleanSpec, TrackSpec
 from usdface.specs.review import ReportSpec, SheetSpec
 
 
@@ -72,6 +75,20 @@ def test_files_are_found_in_one_order_whatever_the_hashes_of_names(shot: Shot) -
         for seed in range(4)
     }
     assert len(orders) == 1
+
+
+def test_every_picture_of_a_sequence_counts_as_an_input(tmp_path: Path) -> None:
+    first, second = tmp_path / "shot.7.png", tmp_path / "shot.8.png"
+    spec = TrackSpec(video=first, video_rate=24, out=tmp_path / "a.take.usda")
+    digests = set[str]()
+    for shade in (0, 1):
+        write_image(first, np.zeros((8, 8, 3), np.uint8))
+        digests.add(make_provenance(spec).digest)
+        write_image(second, np.full((8, 8, 3), shade, np.uint8))
+        digests.add(make_provenance(spec).digest)
+    assert len(digests) == 3  # of one picture, of two, and of two of which one has changed
+    sheet_alone = ReportSpec(performance=first, sheet=second, out=tmp_path / "a.html")
+    assert input_files(second, sheet_alone.reads()[second]) == [second]
 
 
 def test_a_file_that_was_found_is_never_written_over(shot: Shot) -> None:

@@ -12,14 +12,13 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from usdface.core.confinement import check_confined
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.replacing import write_text
-from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import pluralize
 from usdface.farm.bundle import (
     TASKS_FOLDER,
@@ -30,12 +29,13 @@ from usdface.farm.bundle import (
     write_bundle,
 )
 from usdface.farm.plan import FarmStep, Plan, plan_job
+from usdface.runner.origin import input_files
 from usdface.runner.outputs import missing_in_job
 from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import read_job
-from usdface.usdio.referenced_files import frame_range_of, referenced_files
+from usdface.usdio.referenced_files import frame_range_of
 
 _FRAME = "#IFRAME#"
 """Placeholder of the frame number in commands of OpenCue."""
@@ -270,8 +270,12 @@ def _with_absolute_paths(job: JobSpec) -> JobSpec:
 
 
 def _carried(job: JobSpec) -> list[Path]:
-    """Return the files that the job's input layers refer to."""
+    """Return the files that the job's input layers refer to, and the pictures of sequences."""
     made = {path for step in job.steps for path in step.changes()}
-    read = {path for step in job.steps for path in step.paths(Reads)} - made
-    layers = [path for path in read if path.suffix in LAYER_SUFFIXES and path.is_file()]
-    return [file for layer in sorted(layers) for file in referenced_files(layer)]
+    read = {path: how for step in job.steps for path, how in step.reads().items()}
+    return [
+        file
+        for path, how in read.items()
+        if path not in made
+        for file in input_files(path, replace(how, alone=False, assets=True))
+    ]

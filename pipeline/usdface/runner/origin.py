@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -149,16 +150,21 @@ def changed_inputs(file: Path) -> list[Path]:
 
 def _is_same(path: Path, known: str) -> bool:
     try:
-        return any(known == hash_input(path, how) for how in (Reads(), Reads(assets=True)))
+        ways = (Reads(), Reads(assets=True), Reads(sequence=True))
+        return any(known == hash_input(path, how) for how in ways)
     except InputError:  # unreadable, or outside USDFACE_ROOT
         return True
 
 
 def input_files(path: Path, how: Reads) -> list[Path]:
-    """Return an input and, of a layer, the layers that it composes.
+    """Return an input; of a layer, those that it composes; of a picture, those of its sequence.
 
-    Its textures and movies as well, if the step reads them.
+    Textures and movies of a layer as well, if the step reads them.
     """
+    if how.sequence and path.suffix.lower() in (*IMAGE_SUFFIXES, ".dpx"):
+        from usdface.media.film.timed_frames import ImageSequence  # slow to import
+
+        return ImageSequence(path, Fraction(1)).files
     if how.alone or not is_layer_name(path):
         return [path]
     return referenced_files(path) if how.assets else dependencies(path)

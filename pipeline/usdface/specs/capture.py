@@ -24,6 +24,7 @@ from usdface.specs.paths import (
     PrimPath,
     ReadPath,
     Reads,
+    VideoPath,
     WritePath,
     file_ending,
 )
@@ -51,7 +52,7 @@ class IngestSpec(WeightTableSpec):
     """Capture files of one take, or a folder of takes."""
     out: LayerOut
     """Take to write. The samples of a .usda take are stored in a .usdc next to it."""
-    video: ReadPath | None = None
+    video: VideoPath | None = None
     """Video of the take: a movie, or one image of a numbered sequence. The take refers to it."""
     video_rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
     """Frames per second of an image sequence, which does not store its rate."""
@@ -169,7 +170,7 @@ class TrackSpec(Spec):
     only_with: ClassVar[OnlyWith] = {"views": ("calibration", ()), "cameras": ("calibration", ())}
 
     step: Literal["track"] = "track"
-    video: Annotated[FilePath, Reads(), Positional()]
+    video: Annotated[VideoPath, Positional()]
     """Movie, or one image of a numbered sequence. The take refers to it, and to its sound."""
     out: LayerOut
     """Take to write. The samples of a .usda take are stored in a .usdc next to it."""
@@ -199,7 +200,7 @@ class TrackSpec(Spec):
     """Distortion of the lens as OpenCV writes it, `k1,k2`, `k1,k2,p1,p2` or `k1,k2,p1,p2,k3`:
     landmarks are undistorted before perspective is undone. Take it, and the focal length, from a
     calibration of the same lens at the same zoom. Default: none."""
-    views: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()] | None = None
+    views: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(sequence=True)] | None = None
     """Videos of the same performance by further cameras, which start at the same time as the first:
     landmarks are triangulated, weighted by the confidence of each view. With --calibration."""
     calibration: ReadPath | None = None

@@ -23,6 +23,8 @@ class Reads:
     """Whether only the file is read, without the layers it refers to."""
     assets: bool = False
     """Whether textures, movies, sounds and pictures of its layers are read as well."""
+    sequence: bool = False
+    """Whether a picture stands for all of its numbered sequence."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ def _names_a_file(path: Path) -> Path:
 
 FilePath = Annotated[Path, AfterValidator(_names_a_file)]
 ReadPath = Annotated[FilePath, Reads()]
+VideoPath = Annotated[FilePath, Reads(sequence=True)]
 ShownPath = Annotated[FilePath, Reads(assets=True)]
 WritePath = Annotated[FilePath, Writes()]
 

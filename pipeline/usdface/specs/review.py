@@ -16,6 +16,7 @@ from usdface.specs.paths import (
     ReadPath,
     Reads,
     ShownPath,
+    VideoPath,
     WritePath,
     file_ending,
     frame_list,
@@ -47,7 +48,7 @@ class ShotSpec(MovedRigSpec):
     """The performance to show."""
     take: ShownPath | None = None
     """The take it was made from. Default: the one its provenance names."""
-    video: ReadPath | None = None
+    video: VideoPath | None = None
     """The take's video, if its file has moved."""
     camera: CameraName = "auto"
     """Camera of the face: `auto` frames the face, turned as the performer's head where the take has

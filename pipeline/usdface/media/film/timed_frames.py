@@ -70,7 +70,7 @@ class OpenVideo:
 class ImageSequence(OpenVideo):
     """Pictures whose names differ in their number only; a missing one repeats the one before.
 
-    `first`: any picture of the sequence. `rate`: pictures per second.
+    `first`: any picture of the sequence. `rate`: pictures per second. `files`: all pictures.
     """
 
     def __init__(self, first: Path, rate: Fraction) -> None:
@@ -89,8 +89,8 @@ class ImageSequence(OpenVideo):
             if other and (other[1], other[3]) == (match[1], match[3]):
                 numbers[int(other[2])] = first.with_name(name)
         order = sorted(numbers)
-        self._files = [numbers[number] for number in order]
-        self.path = self._files[0]
+        self.files = [numbers[number] for number in order]
+        self.path = self.files[0]
         self.rate = rate
         self.tolerance = 1e-6
         self.times = (np.array(order) - order[0]) / float(rate)
@@ -99,4 +99,4 @@ class ImageSequence(OpenVideo):
 
     def frame(self, index: int) -> ByteImage:
         """Read a picture by its index."""
-        return read_picture(self._files[index])
+        return read_picture(self.files[index])
