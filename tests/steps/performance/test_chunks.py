@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
@@ -131,6 +132,29 @@ def test_parts_of_another_take_or_mapping_are_not_joined(shot: Shot) -> None:
         InputError, match=r"b\.usda: has another take .*c\.usda: has another mapping "
     ):
         run(JoinSpec(parts=(shot / "shot.hero.usda", take, mapping), out=shot / "joined.usda"))
+
+
+def test_parts_of_a_rig_that_has_changed_meanwhile_are_not_joined(shot: Shot) -> None:
+    rig = shot / "hero.usdc"
+    first = map_to(shot, "a.usda", frames="1-10")
+    layer = Sdf.Layer.FindOrOpen(str(rig))
+    before, layer.comment = rig.read_bytes(), "published again"
+    layer.Save()
+    try:
+        second = map_to(shot, "b.usda", frames="11-20")
+        with pytest.raises(InputError, match=r"b\.usda: has another rig \(file or contents\) than"):
+            run(JoinSpec(parts=(first, second), out=shot / "joined.usda"))
+    finally:
+        rig.write_bytes(before)
+        layer.Reload(force=True)
+
+
+def test_parts_of_other_options_are_told(shot: Shot) -> None:
+    first = map_to(shot, "a.usda", frames="1-10")
+    second = map_to(shot, "b.usda", frames="11-20", temporal="whole", cutoff=8)
+    third = map_to(shot, "c.usda", frames="21-30", chunk=5)
+    told = run(JoinSpec(parts=(first, second, third), out=shot / "joined.usda")).notes
+    assert told == (f"{second}: made with another cutoff and temporal than {first}",)
 
 
 def test_frames_outside_the_take_are_refused(shot: Shot) -> None:

@@ -22,6 +22,9 @@ from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weigh
 from usdface.usdio.performance.write import writing_top
 from usdface.usdio.rig.reference import read_rig_of_stage
 
+_FILES = ("take", "mapping", "rig", "source")
+"""Options of `map` and `retarget` that name files of which all parts must have the same."""
+
 
 def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Merge the parts, or play them as value clips, by --clips and their size."""
@@ -64,6 +67,11 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepRe
         for reader in readers
         if reader.edits
     ]
+    first = _options(files[0])
+    for each in files[1:]:
+        other = _options(each)
+        if differ := [name for name in first | other if first.get(name) != other.get(name)]:
+            notes.append(f"{each}: made with another {' and '.join(differ)} than {files[0]}")
     how = "played as value clips" if clips else "merged"
     result = StepResult(
         (spec.out, target, *above),
@@ -127,14 +135,20 @@ def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader])
 
 
 def _inputs(part: Path) -> dict[str, str]:
-    """Return the hashes of take, mapping and source of a retargeting that a part was made from."""
+    """Return the hashes of the files that a part was made from."""
     made = provenance_of(part) or Provenance()
     named = spec_of(made)
     return {
         f"{name} (file or contents)": made.inputs[named[name]]
-        for name in ("take", "mapping", "source")
+        for name in _FILES
         if isinstance(named.get(name), str) and named[name] in made.inputs
     }
+
+
+def _options(part: Path) -> dict[str, object]:
+    """Return the options that a part was made with, apart from its frames and files."""
+    apart = (*_FILES, "frames", "out", "chunk", "parts", "clips")
+    return {key: value for key, value in spec_of(provenance_of(part)).items() if key not in apart}
 
 
 def _check_not_moved(readers: list[PerformanceReader]) -> None:
