@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.publish.collect import PublishItem
-from usdface.runner.execute import execute
+from usdface.runner.execute import create_folder, execute
 from usdface.runner.origin import make_provenance
 from usdface.specs.edits import BakeSpec
 from usdface.specs.review import MovieSpec, SheetSpec
@@ -92,12 +91,7 @@ def extract_performance(
     review = review or ReviewOptions()
     folder = root / item.name / f".{uuid.uuid4().hex[:12]}"
     _clear_abandoned(folder.parent)
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder.parent}: cannot be made: {error.strerror}; choose another root folder"
-        ) from error
+    create_folder(folder, remedy="choose another root folder")
     try:
         extracted = _extract(item, folder, review, progress)
     except BaseException:

@@ -1,6 +1,7 @@
 """Integration of extracted files as a numbered, immutable version."""
 
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from usdface.core.errors import InputError
+from usdface.core.replacing import write_text
 from usdface.core.text import json_text
 from usdface.core.version import __version__
 from usdface.publish.extract import Extracted
@@ -18,7 +20,6 @@ MANIFEST_NAME = "publish.json"
 _VERSION = re.compile(r"(\.?)v(\d{3,})")
 """Folder of a version; with a dot, the file that marks its number as used, so that after a deletion
 caches do not serve it for another version."""
-MOST_VERSIONS_TRIED = 1000
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
     if newest and _holds(parent / _folder_name(newest), extracted.files, hashes):
         extracted.discard()
         return _published(extracted, newest, is_new=False)
-    for version in range(last + 1, last + 1 + MOST_VERSIONS_TRIED):
+    for version in itertools.count(last + 1):
         _write_manifest(extracted, version, hashes, comment)
         try:
             (parent / f".{_folder_name(version)}").touch()
@@ -70,10 +71,8 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
                 f"{parent / _folder_name(version)}: cannot be made: {error.strerror}; make the "
                 "folder above it writable"
             ) from error
-        return _published(extracted, version, is_new=True)
-    raise InputError(
-        f"{parent}: no version is free from v{last + 1:03} to v{version:03}; publish elsewhere"
-    )
+        break
+    return _published(extracted, version, is_new=True)
 
 
 def latest_version(folder: Path, *, deleted: bool = False) -> int:
@@ -129,14 +128,7 @@ def _write_manifest(
         "rig": _relative(item.rig, folder),
         "files": files,
     }
-    text = json_text(manifest)
-    try:
-        (folder / MANIFEST_NAME).write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(
-            f"{folder / MANIFEST_NAME}: cannot be written: {error.strerror}; free space, or make "
-            "the folder writable"
-        ) from error
+    write_text(folder / MANIFEST_NAME, json_text(manifest))
 
 
 def _hashes(folder: Path, files: Mapping[str, str]) -> dict[str, str]:

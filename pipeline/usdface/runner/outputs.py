@@ -23,6 +23,8 @@ def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = (
 
     And all paths outside the folder of ``USDFACE_ROOT``, if set.
     """
+    for path in (*reads, *writes):
+        check_no_loop(path)
     check_confined([(what, path) for path in (*reads, *writes)])
     _check_layers(what, reads)
     _check_files(what, reads)
@@ -77,11 +79,8 @@ def check_may_be_read(spec: Spec) -> None:
 
     To be called before any input is opened.
     """
-    for path in (*spec.paths(Reads), *spec.paths(Writes)):
-        check_no_loop(path)
-    check_confined(spec.named_paths())
-    _check_layers(spec.step, spec.paths(Reads))
-    _check_files(spec.step, spec.paths(Reads))
+    writes = dict.fromkeys((*spec.paths(Writes), *spec.changes()))
+    confine(spec.step, reads=spec.paths(Reads), writes=list(writes))
 
 
 def _check_files(what: str, paths: Sequence[Path]) -> None:

@@ -15,7 +15,6 @@ from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_text
 from usdface.core.replacing import replacing_together
-from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.usdio import SCHEMA_VERSION
 from usdface.usdio.crate import check_crate
 from usdface.usdio.reached import check_composed, check_reached
@@ -154,12 +153,6 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
     `made`: paths and provenance; a layer that refers to others should be last.
     """
     paths = list(made)
-    for path in paths:
-        if path.suffix not in LAYER_SUFFIXES:
-            raise InputError(
-                f"{path}: a USD layer is written, so the name must end in "
-                f"{', '.join(LAYER_SUFFIXES)}"
-            )
     with (
         replacing_together(paths, then=_reload) as temporaries,
         usd_errors_as_input_errors(paths[-1], "writing it"),
