@@ -10,12 +10,14 @@ import pytest
 
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.media.picture.image import write_image
 from usdface.runner.execute import execute
 from usdface.runner.origin import input_files, make_provenance, provenance_of, traced_files
 from usdface.runner.state import step_state
 from usdface.specs.capture import CleanSpec, TrackSpec
 from usdface.specs.review import ReportSpec, SheetSpec
+from usdface.usdio.layers import new_layer
 
 
 def sheet(shot: Shot, **options: object) -> SheetSpec:
@@ -75,6 +77,14 @@ def test_files_are_found_in_one_order_whatever_the_hashes_of_names(shot: Shot) -
         for seed in range(4)
     }
     assert len(orders) == 1
+
+
+def test_a_package_in_capital_letters_has_provenance(tmp_path: Path) -> None:
+    made = Provenance(step="package", spec="{}")
+    for name in ("a.usda", "A.USDA"):
+        with new_layer(tmp_path / name, made):
+            pass
+        assert provenance_of(tmp_path / name) == made
 
 
 def test_every_picture_of_a_sequence_counts_as_an_input(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from pydantic import ValidationError
 
 import usdface
 from tests.regenerate import JSON_SCHEMAS, json_schemas
@@ -13,6 +14,7 @@ from usdface.cli.spec_options import build_spec
 from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
 from usdface.specs.base import Spec, field_help
+from usdface.specs.capture import CleanSpec
 from usdface.specs.edits import EditSpec
 from usdface.specs.job import STEP_SPECS, JobSpec
 from usdface.specs.paths import Reads, Writes, frame_range
@@ -71,6 +73,23 @@ def test_a_saved_spec_reads_back_the_same(tmp_path: Path, name: str, index: int)
     spec = JobSpec.model_validate(yaml.safe_load(JOB)).steps[index]
     path = write(tmp_path, spec_text(spec, Path(name)), name)
     assert read_job(path).steps == (spec.with_paths(lambda each: tmp_path / each),)
+
+
+def test_a_spec_saved_by_a_link_to_a_folder_names_the_same_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "away")
+    monkeypatch.chdir(tmp_path)
+    spec = CleanSpec(take=Path("a.usda"), out=Path("b.usda"))
+    saved = write(Path("link"), spec_text(spec.relative_to(Path("link")), Path("s.yaml")), "s.yaml")
+    (read,) = read_job(saved).steps
+    assert [each.resolve() for each in read.paths(Reads)] == [tmp_path.resolve() / "a.usda"]
+
+
+def test_a_layer_has_an_ending_in_small_letters() -> None:
+    with pytest.raises(ValidationError, match=r"must end in \.usda, \.usdc, \.usd"):
+        CleanSpec(take=Path("a.usda"), out=Path("b.USDA"))
 
 
 def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
-from usdface.core.sidecars import LAYER_SUFFIXES, corrected_path, is_usd_name
+from usdface.core.sidecars import corrected_path, is_usd_name
 from usdface.core.text import json_object, pluralize, read_text
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
@@ -27,7 +27,7 @@ REFUSED_SUFFIX = " refused"
 def provenance_of(path: Path) -> Provenance | None:
     """Return the provenance stored in a file; None if there is none or it cannot be read."""
     try:
-        if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
+        if is_usd_name(path):
             return read_provenance(path)
         if path.suffix.lower() in IMAGE_SUFFIXES:
             from usdface.media.picture.image import read_image_metadata  # slow to import

@@ -251,8 +251,9 @@ class Spec(BaseModel):
 
     def relative_to(self, folder: Path) -> Self:
         """Return the spec with paths relative to a folder, to be saved there."""
+        real = folder.resolve()  # `..` of a link leads out of its target
         return self.with_paths(
-            lambda path: path if path.is_absolute() else Path(os.path.relpath(path, folder))
+            lambda path: path if path.is_absolute() else Path(os.path.relpath(path, real))
         )
 
     def with_paths(self, change: Callable[[Path], Path]) -> Self:

@@ -45,18 +45,23 @@ ShownPath = Annotated[FilePath, Reads(assets=True)]
 WritePath = Annotated[FilePath, Writes()]
 
 
-def file_ending(suffixes: tuple[str, ...], what: str) -> Callable[[Path], Path]:
-    """Return a validator of a path's suffix; `what` is the kind of file, as "a picture"."""
+def file_ending(
+    suffixes: tuple[str, ...], what: str, compared: Callable[[str], str] = str.lower
+) -> Callable[[Path], Path]:
+    """Return a validator of a path's suffix.
+
+    `what`: the kind of file, as "a picture". `compared`: from the suffix to what is compared.
+    """
 
     def check(path: Path) -> Path:
-        if path.suffix.lower() not in suffixes:
+        if compared(path.suffix) not in suffixes:
             raise ValueError(f"{what} is written, so the name must end in {', '.join(suffixes)}")
         return path
 
     return check
 
 
-LayerOut = Annotated[WritePath, AfterValidator(file_ending(LAYER_SUFFIXES, "a USD layer"))]
+LayerOut = Annotated[WritePath, AfterValidator(file_ending(LAYER_SUFFIXES, "a USD layer", str))]
 ImageOut = Annotated[WritePath, AfterValidator(file_ending(IMAGE_SUFFIXES, "a picture"))]
 
 
