@@ -248,6 +248,23 @@ def test_no_picture_of_a_camera_is_missed_or_shown_twice(shot: Shot, monkeypatch
     assert seen == list(range(EARLY_PICTURES, EARLY_PICTURES + 50))
 
 
+@pytest.mark.parametrize(
+    ("take_rate", "rate", "start", "label"),
+    [
+        (Fraction(60), Fraction(30000, 1001), "10:00:00:00", ""),  # was 09:59:24:01
+        (Fraction(120000, 1001), Fraction(24), "01:00:00:00", ""),
+        (Fraction(60000, 1001), Fraction(30000, 1001), "01:00:00;00", "01:00:00;00"),
+        (Fraction(30000, 1001), Fraction(24000, 1001), "01:00:00:00", "01:00:00:00"),
+        (Fraction(120), Fraction(25), "01:00:00:00", "01:00:00:00"),
+    ],
+)
+def test_a_movie_has_timecode_only_if_its_labels_count_the_takes_seconds(
+    take_rate: Fraction, rate: Fraction, start: str, label: str
+) -> None:
+    clock = MovieClock(rate, take_rate, first_frame=1, frame_count=10)
+    assert clock.timecode(start, 1) == label
+
+
 def test_a_fast_capture_without_video_is_shown_at_a_rate_of_screens() -> None:
     take = Take("talk", Fraction(120000, 1001), 1)
     assert movie_rate(take) == Fraction(60000, 1001)

@@ -45,8 +45,12 @@ class MovieClock:
         return float(self.first_frame + picture * self.take_rate / self.rate)
 
     def timecode(self, take_start: str, take_first: int, picture: int = 0) -> str:
-        """Return the timecode of a picture at the movie's rate; empty if unknown."""
-        if not take_start:
+        """Return the timecode of a picture at the movie's rate.
+
+        Empty if unknown, or if only one of the rates is over 1.001: their labels count other
+        seconds, and differ by 3.6 s an hour.
+        """
+        if not take_start or (1001 in {self.rate.denominator} ^ {self.take_rate.denominator}):
             return ""
         frames = frames_of(take_start, self.take_rate) + self.first_frame - take_first
         try:
