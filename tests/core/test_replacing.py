@@ -15,11 +15,11 @@ from usdface.core import write_lock
 from usdface.core.errors import InputError
 from usdface.core.replacing import (
     check_not_written_since,
-    creating,
     not_written_since,
     replacing,
     replacing_group,
     replacing_together,
+    write_new_text,
 )
 
 HOLD = """
@@ -216,32 +216,17 @@ def test_a_lock_that_is_taken_away_stops_the_writing(tmp_path: Path) -> None:
     assert target.read_text() == "old"
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_what_is_made_anew_never_takes_the_place_of_anything(
-    tmp_path: Path, links: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(*_: object, **__: object) -> None:
-        raise OSError(errno.EPERM, "no second names here")
-
-    if not links:
-        monkeypatch.setattr(os, "link", refused)
+def test_what_is_made_anew_never_takes_the_place_of_anything(tmp_path: Path) -> None:
     target = tmp_path / "a.yaml"
-    with creating(target) as temporary:
-        temporary.write_text("first")
+    write_new_text(target, "first")
     (tmp_path / "b.yaml").symlink_to(tmp_path / "nothing")
     for path in (target, tmp_path / "b.yaml"):
-        with pytest.raises(InputError, match="exists, and is not written over"), creating(path):
-            pass
-
-    def overtaken() -> None:
-        with creating(tmp_path / "c.yaml") as temporary:
-            temporary.write_text("late")
-            (tmp_path / "c.yaml").write_text("meanwhile")
-
-    with pytest.raises(InputError, match="exists, and is not written over"):
-        overtaken()
-    assert (tmp_path / "c.yaml").read_text() == "meanwhile"
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["a.yaml", "b.yaml", "c.yaml"]
+        with pytest.raises(InputError, match="exists, and is not written over"):
+            write_new_text(path, "late")
+    with pytest.raises(InputError, match=r"the folder .* cannot be written to \(No such file"):
+        write_new_text(tmp_path / "none" / "c.yaml", "lost")
+    assert target.read_text() == "first"
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["a.yaml", "b.yaml"]
 
 
 def test_leftovers_that_cannot_be_cleared_stop_nobody(tmp_path: Path, monkeypatch) -> None:

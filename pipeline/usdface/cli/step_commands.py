@@ -14,7 +14,7 @@ from usdface.cli.console import ProgressStyle, echo, progress_listener, show_res
 from usdface.cli.spec_options import COMMON_OPTIONS, build_spec, command_of
 from usdface.core.errors import CancelledError, InputError
 from usdface.core.progress import Progress
-from usdface.core.replacing import creating
+from usdface.core.replacing import write_new_text
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
@@ -50,8 +50,7 @@ def _run_step(
     spec = build_spec(spec_type, values)
     if save_spec is not None:
         text = spec_text(spec.relative_to(save_spec.parent), save_spec)
-        with creating(save_spec) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_new_text(save_spec, text)
         echo(f"wrote {save_spec}")
         return
     from usdface.runner.execute import execute

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.core.side_files import open_side_file, side_stream
+from usdface.core.side_files import open_side_file, side_stream, write_new_file
 from usdface.core.sidecars import journal_path, lock_path
 from usdface.core.text import shell_word
 from usdface.core.write_lock import is_running
@@ -68,7 +68,7 @@ class TuningLock:
         text = json.dumps(asdict(holding)) + "\n"
         for _ in range(3):
             try:
-                self._create(text)
+                write_new_file(self.path, text.encode("utf-8"))
             except FileExistsError:
                 holder = self.holder()
                 if holder is not None and not take_over and not self._is_stale(holder):
@@ -89,16 +89,6 @@ class TuningLock:
                 self._holding = holding
                 return
         raise InputError(f"{self.path}: someone else takes it at this moment; try again")
-
-    def _create(self, text: str) -> None:
-        """Make the lock file; remove it if the disk is full."""
-        with side_stream(self.path, "xb") as stream:
-            try:
-                stream.write(text.encode("utf-8"))
-                stream.flush()
-            except OSError:
-                self.path.unlink(missing_ok=True)
-                raise
 
     def holder(self) -> Holder | None:
         """Return the holder of the lock; None without one, or if the file is invalid."""

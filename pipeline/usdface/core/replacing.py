@@ -6,7 +6,6 @@ removed by the next one that writes the file.
 """
 
 import contextlib
-import errno
 import os
 import re
 import uuid
@@ -18,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from usdface.core.errors import InputError
-from usdface.core.side_files import open_side_file
+from usdface.core.side_files import open_side_file, write_new_file
 from usdface.core.write_lock import (
     LONGEST_STEM_BYTES,
     name_digest,
@@ -51,14 +50,16 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
 
 
-@contextmanager
-def creating(path: Path) -> Iterator[Path]:
-    """Yield a temporary path as `replacing` does, and never replace a file.
-
-    `InputError` if a file or a link is at `path`, and as `replacing` does.
-    """
-    with replacing_together([path], new=True) as (temporary,):
-        yield temporary
+def write_new_text(path: Path, text: str) -> None:
+    """Write a text file in UTF-8; `InputError` if a file or a link is at `path`."""
+    try:
+        write_new_file(path, text.encode("utf-8"))
+    except FileExistsError as error:
+        raise InputError(
+            f"{path}: exists, and is not written over; give another name, or remove it"
+        ) from error
+    except OSError as error:
+        raise not_writable_error(path, error) from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -120,7 +121,7 @@ def replacing_group(paths: Iterable[Path]) -> Iterator[None]:
 
 @contextmanager
 def replacing_together(
-    paths: Sequence[Path], *, new: bool = False, then: Callable[[Path], None] | None = None
+    paths: Sequence[Path], *, then: Callable[[Path], None] | None = None
 ) -> Iterator[tuple[Path, ...]]:
     """Yield temporary paths of several files, which are renamed when all are complete.
 
@@ -131,8 +132,6 @@ def replacing_together(
     ----------
     paths : sequence of Path
         The files to make or to replace, all different.
-    new : bool
-        Replace none.
     then : callable, optional
         Called with each file after all are renamed.
 
@@ -141,8 +140,6 @@ def replacing_together(
     tuple of Path
         To write to, in the same order.
     """
-    if new and (existing := [path for path in paths if os.path.lexists(path)]):
-        raise _exists_error(existing[0])
     group = _GROUP.get()
     with contextlib.ExitStack() as stack:
         made = [_Replacement(path, *stack.enter_context(_temporary(path)), then) for path in paths]
@@ -154,20 +151,17 @@ def replacing_together(
             group.whole.extend(made)
             group.held.push(stack.pop_all())
         else:
-            _rename(made, new=new)
+            _rename(made)
 
 
-def _rename(made: Sequence[_Replacement], *, new: bool = False) -> None:
+def _rename(made: Sequence[_Replacement]) -> None:
     for file in made:
         with _as_input_error(file.path):
             file.check_lock()
     with _old_files_open([file.path for file in made]):
         for file in made:
             with _as_input_error(file.path):
-                if new:
-                    _rename_new(file.temporary, file.path)
-                else:
-                    file.temporary.replace(file.path)
+                file.temporary.replace(file.path)
     for file in made:
         if file.then is not None:
             file.then(file.path)
@@ -243,27 +237,6 @@ def _sync(path: Path, temporary: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-_NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EOPNOTSUPP)
-
-
-def _rename_new(temporary: Path, path: Path) -> None:
-    """Rename a file, unless the new name exists."""
-    try:
-        try:
-            os.link(temporary, path, follow_symlinks=False)
-        except OSError as error:
-            if error.errno not in _NO_HARD_LINKS:
-                raise
-            os.close(open_side_file(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
-            temporary.replace(path)
-    except FileExistsError as error:
-        raise _exists_error(path) from error
-
-
-def _exists_error(path: Path) -> InputError:
-    return InputError(f"{path}: exists, and is not written over; give another name, or remove it")
 
 
 @contextmanager

@@ -63,6 +63,17 @@ def side_stream(path: Path, mode: str) -> IO[Any]:
     return open(path, mode, opener=lambda _, flags: open_side_file(path, flags))
 
 
+def write_new_file(path: Path, data: bytes) -> None:
+    """Write a side file, `FileExistsError` if it exists; remove it if the disk is full."""
+    handle = open_side_file(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+    try:
+        with open(handle, "wb") as stream:  # noqa: PTH123  # no path
+            stream.write(data)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+
+
 def make_side_folder(folder: Path) -> None:
     """Make a side folder, if it does not exist."""
     try:

@@ -8,7 +8,6 @@ sections, some 300 bytes; values are not.
 import itertools
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 from zipfile import BadZipFile, ZipFile
@@ -26,13 +25,6 @@ OLDEST_VERSION = (0, 4)
 NUMBERS_PER_BYTE = 4 * 255
 """Most numbers per packed byte: a number has at least two bits, and LZ4 compresses up to 255:1."""
 BYTES_PER_STRING = 4
-
-
-@dataclass(frozen=True)
-class _Part:
-    name: str
-    size: int
-    count: int
 
 
 def check_crate(path: Path) -> None:
@@ -95,7 +87,7 @@ def _check_layer(stream: BinaryIO, start: int, size: int) -> None:
     if count > PART_LIMIT or end > size:
         raise ValueError(f"its table of contents, {count} parts at {table}, ends beyond {size}")
     entries = _read(stream, start + table + 8, count * ENTRY_SIZE)
-    parts = []
+    parts = list[tuple[str, int, int]]()  # name, size and count
     spans = [(0, HEADER_SIZE, "the header"), (table, end, "the table of contents")]
     for padded, at, length in struct.iter_unpack("<16sqq", entries):
         name = padded.rstrip(b"\0").decode("ascii", "backslashreplace")
@@ -103,28 +95,23 @@ def _check_layer(stream: BinaryIO, start: int, size: int) -> None:
             raise ValueError(f"part {name} is said to be {length} at {at} of {size} bytes")
         spans.append((at, at + length, name))
         (items,) = struct.unpack("<Q", _read(stream, start + at, 8))
-        parts.append(_Part(name, length, items))
+        parts.append((name, length, items))
     for (_, end, before), (begin, _, after) in itertools.pairwise(sorted(spans)):
         if begin < end:
             raise ValueError(f"{before} and {after} overlap at {begin}")
     _check_counts(parts)
 
 
-def _check_counts(parts: list[_Part]) -> None:
-    by_name = {part.name: part for part in parts}
-    missing = [name for name in PARTS if name not in by_name]
-    if missing or len(by_name) != len(parts):
-        raise ValueError(
-            f"its parts are {', '.join(part.name for part in parts)}, not those of USD"
-        )
+def _check_counts(parts: list[tuple[str, int, int]]) -> None:
+    by_name = {name: (size, count) for name, size, count in parts}
+    if not by_name.keys() >= set(PARTS) or len(by_name) != len(parts):
+        raise ValueError(f"its parts are {', '.join(each[0] for each in parts)}, not those of USD")
     for name in PARTS:
-        part = by_name[name]
-        most = part.size * NUMBERS_PER_BYTE if name != "STRINGS" else part.size // BYTES_PER_STRING
-        if part.count > most:
-            raise ValueError(
-                f"part {name} of {part.size} bytes is said to hold {part.count}, {most} at most"
-            )
-    specs, paths = by_name["SPECS"].count, by_name["PATHS"].count
+        size, count = by_name[name]
+        most = size * NUMBERS_PER_BYTE if name != "STRINGS" else size // BYTES_PER_STRING
+        if count > most:
+            raise ValueError(f"part {name} of {size} bytes is said to hold {count}, {most} at most")
+    specs, paths = by_name["SPECS"][1], by_name["PATHS"][1]
     if specs > paths:
         raise ValueError(f"it is said to hold {specs} specs at {paths} paths")
 
