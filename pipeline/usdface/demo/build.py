@@ -12,7 +12,6 @@ import numpy as np
 from usdface.capture.c3d_write import write_c3d
 from usdface.core.arrays import ByteImage, Float32Array, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import RigMesh, WeightsClip
-from usdface.core.errors import CancelledError
 from usdface.core.last_result import cache_last_result
 from usdface.core.processes import SubmitWork, process_count, worker_processes
 from usdface.core.progress import Progress, part, silent
@@ -98,8 +97,6 @@ def film(
     """Draw a picture of each pose of a studio's meshes; `size`: width and height [pixels]."""
     renderer, pictures = _renderer(meshes), []
     for points in poses:
-        if _stopped():
-            raise CancelledError("the main process has stopped")
         pictures.append(
             renderer.render(points, camera=camera, width=size[0], height=size[1], quality="draft")
         )
@@ -192,20 +189,12 @@ def drawing_processes() -> Iterator[SubmitWork | None]:
     if not count:
         yield None
         return
-    with worker_processes(count, _stop_if) as give_work:
+    with worker_processes(count, _no_set_up) as give_work:
         yield give_work
 
 
-def _never() -> bool:
-    return False
-
-
-_stopped: Callable[[], bool] = _never  # of a drawing process
-
-
-def _stop_if(stopped: Callable[[], bool]) -> None:
-    global _stopped
-    _stopped = stopped
+def _no_set_up(stopped: Callable[[], bool]) -> None:
+    """Draw until terminated, as no file is written."""
 
 
 @dataclass(frozen=True)

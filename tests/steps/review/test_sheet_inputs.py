@@ -102,7 +102,7 @@ def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
     )
     means = report.figures["mean_error_mm"]
     folder = shot.folder.name
-    same = ("usdface", f"{folder}/shot.hero", f"{folder}/shot.hero (2)")
+    same = ("usdface", f"{folder}/shot.hero", f"{folder}/shot.hero_2")
     assert list(means) == ["usdface", "b/shot.hero", *same[1:]]
     assert means["b/shot.hero"] > 2 * means["usdface"]
     assert {means[name] for name in same} == {means["usdface"]}

@@ -22,6 +22,7 @@ from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.steps.inputs.solve_verdict import evidence_of
 from usdface.steps.review.clock import MovieClock
+from usdface.usdio.authoring import unique_names
 from usdface.usdio.performance.read import PerformanceReader, performance_of
 from usdface.usdio.rig.reference import read_rig_of_stage
 from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
@@ -325,14 +326,10 @@ def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -
 def version_labels(files: list[Path], *, taken: set[str]) -> list[str]:
     """Return unique labels of performances, none of `taken`: names, if ambiguous with folder."""
     stems = [file.stem.split(".usd")[0] for file in files]
-    used, labels = set(taken), list[str]()
-    for file, stem in zip(files, stems, strict=True):
-        unique = stems.count(stem) == 1 and stem not in used
-        label = base = stem if unique else f"{file.resolve().parent.name}/{stem}"
-        number = 1
-        while label in used:
-            number += 1
-            label = f"{base} ({number})"
-        used.add(label)
-        labels.append(label)
-    return labels
+    labels = [
+        stem
+        if stems.count(stem) == 1 and stem not in taken
+        else f"{file.resolve().parent.name}/{stem}"
+        for file, stem in zip(files, stems, strict=True)
+    ]
+    return unique_names([*taken, *labels])[len(taken) :]
