@@ -174,7 +174,7 @@ def test_a_match_that_is_none(tmp_path: Path, name: str, kind: object, value: ob
 
     change(path, how)
     with pytest.raises(InputError, match=r"x\.matches\.usda"):
-        read_matches(path)
+        read_matches(path, rate=Fraction(24))
 
 
 @pytest.mark.parametrize("unit", [0.0, -0.01, float("nan"), float("inf"), 1e300])

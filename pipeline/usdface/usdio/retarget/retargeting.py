@@ -4,7 +4,6 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 from pxr import Sdf, Usd
 
 from usdface.core.controls import JOINT_WIDTH, Retargeting, RetargetScore
@@ -73,13 +72,7 @@ def read_retargeting(path: Path) -> Retargeting:
         _names(prim, name) for name in ("source", "channels", "joints", "attributes")
     )
     width = len(shapes) + JOINT_WIDTH * len(joints) + len(attributes)
-    earlier = {  # what earlier versions did without
-        "fit_unused": np.zeros(len(source)),
-        "fit_unfollowed": np.zeros(len(source)),
-        "fit_target_units": np.ones(width),
-        "fit_pair_span": np.eye(len(source)),
-    }
-    arrays = earlier | read_arrays(path, prim)
+    arrays = read_arrays(path, prim)
     for name, shape in (
         ("mean_rotations", (len(joints), 4)),
         ("rest", (width,)),

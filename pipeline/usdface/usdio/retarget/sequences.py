@@ -141,12 +141,11 @@ def write_matches(
 
 
 @refusing_wrong_types
-def read_matches(path: Path, *, rate: Fraction | None = None) -> tuple[SequenceMatch, ...]:
+def read_matches(path: Path, *, rate: Fraction) -> tuple[SequenceMatch, ...]:
     """Read the active matches; refuse those of another rate, whose frames are others."""
     stage = open_stage(path)
     counted = stage.GetTimeCodesPerSecond()
-    stated = stage.HasAuthoredMetadata("timeCodesPerSecond")  # not by earlier versions
-    if rate is not None and stated and not math.isclose(counted, rate, rel_tol=1e-6):
+    if not math.isclose(counted, rate, rel_tol=1e-6):
         raise InputError(
             f"{path}: its frames are of a take with {counted:g} per second, not {float(rate):g}; "
             "find the sequences in the source of this performance"
