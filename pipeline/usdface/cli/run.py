@@ -5,10 +5,8 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -100,7 +98,7 @@ class _StoredResults:
     def __init__(self, job: Path) -> None:
         self._folder = job.resolve().parent
         self._file = job.with_name(f".{job.name}.notes")
-        self._entries: dict[str, Mapping[str, Any]] = {}
+        self._entries: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
         stored = b""
         with (
             contextlib.suppress(OSError, ValueError, InputError),
@@ -110,7 +108,8 @@ class _StoredResults:
         for line in stored.splitlines() if len(stored) <= _LARGEST_NOTES_BYTES else ():
             with contextlib.suppress(ValueError, KeyError, TypeError):  # an incomplete line
                 entry = json.loads(line)
-                self._entries[entry["made"]] = entry
+                table, notes = (tuple(map(str, entry[name])) for name in ("table", "notes"))
+                self._entries[entry["made"]] = table, notes
 
     def add(self, step: JobStep, report: StepResult) -> None:
         """Store the result of a step."""
@@ -130,13 +129,7 @@ class _StoredResults:
 
     def of(self, step: JobStep, report: StepResult) -> StepResult:
         """Return the result of a step that is up to date with its stored table and notes."""
-        entry = self._entries.get(self._key(step))
-        if entry is None:
-            return replace(report, table=("no stored notes",))
-        try:
-            table, notes = tuple(map(str, entry["table"])), tuple(map(str, entry["notes"]))
-        except (KeyError, TypeError):
-            return report
+        table, notes = self._entries.get(self._key(step), (("no stored notes",), ()))
         return replace(report, table=table, notes=notes)
 
     def _key(self, step: JobStep) -> str:
