@@ -46,22 +46,24 @@ WritePath = Annotated[FilePath, Writes()]
 
 
 def file_ending(
-    suffixes: tuple[str, ...], what: str, compared: Callable[[str], str] = str.lower
+    suffixes: tuple[str, ...], what: str, *, small_letters: bool = False
 ) -> Callable[[Path], Path]:
     """Return a validator of a path's suffix.
 
-    `what`: the kind of file, as "a picture". `compared`: from the suffix to what is compared.
+    `what`: the kind of file, as "a picture". `small_letters`: whether capital ones are refused.
     """
 
     def check(path: Path) -> Path:
-        if compared(path.suffix) not in suffixes:
+        if (path.suffix if small_letters else path.suffix.lower()) not in suffixes:
             raise ValueError(f"{what} is written, so the name must end in {', '.join(suffixes)}")
         return path
 
     return check
 
 
-LayerOut = Annotated[WritePath, AfterValidator(file_ending(LAYER_SUFFIXES, "a USD layer", str))]
+_layer_ending = file_ending(LAYER_SUFFIXES, "a USD layer", small_letters=True)
+
+LayerOut = Annotated[WritePath, AfterValidator(_layer_ending)]
 ImageOut = Annotated[WritePath, AfterValidator(file_ending(IMAGE_SUFFIXES, "a picture"))]
 
 

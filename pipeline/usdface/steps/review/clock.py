@@ -50,7 +50,8 @@ class MovieClock:
         Empty if unknown, or if only one of the rates is over 1.001: their labels count other
         seconds, and differ by 3.6 s an hour.
         """
-        if not take_start or (1001 in {self.rate.denominator} ^ {self.take_rate.denominator}):
+        counts_differ = (self.rate.denominator == 1001) != (self.take_rate.denominator == 1001)
+        if counts_differ or not take_start:
             return ""
         frames = frames_of(take_start, self.take_rate) + self.first_frame - take_first
         try:
