@@ -5,6 +5,7 @@ import pytest
 from scipy.fft import dct
 from scipy.sparse import diags_array, identity
 from scipy.sparse.linalg import spsolve
+from scipy.spatial.transform import Rotation
 
 from usdface.numerics.repair import smoothing
 from usdface.numerics.repair.smoothing import (
@@ -74,8 +75,6 @@ def test_short_series_are_returned_as_they_are():
 
 def test_smoothed_poses_stay_rigid_and_lose_their_jitter():
     rng = np.random.default_rng(0)
-    from scipy.spatial.transform import Rotation
-
     t = np.arange(1500) / 60
     true = Rotation.from_rotvec(np.stack([0.3 * np.sin(t), 0.5 * np.sin(0.7 * t), 0 * t], 1))
     motion = np.tile(np.eye(4), (1500, 1, 1))
@@ -87,3 +86,15 @@ def test_smoothed_poses_stay_rigid_and_lose_their_jitter():
     R = smooth[:, :3, :3]
     np.testing.assert_allclose(np.linalg.det(R), 1, atol=1e-12)
     assert (true.inv() * Rotation.from_matrix(R)).magnitude().mean() < 0.005
+
+
+@pytest.mark.parametrize("degrees_per_second", [36.0, 200.0])
+def test_smoothed_poses_follow_a_performer_who_turns_around(degrees_per_second):
+    t = np.arange(1200) / 60
+    yaw, nod = np.radians(degrees_per_second * t), 0.2 * np.sin(2 * t)
+    true = Rotation.from_euler("YX", np.stack([yaw, nod], axis=1))
+    noise = Rotation.from_rotvec(0.002 * np.random.default_rng(0).standard_normal((1200, 3)))
+    motion = np.tile(np.eye(4), (1200, 1, 1))
+    motion[:, :3, :3] = (true * noise).as_matrix()
+    smooth = Rotation.from_matrix(smooth_poses(motion, center=np.zeros(3))[:, :3, :3])
+    assert (true.inv() * smooth).magnitude().max() < 0.01

@@ -128,12 +128,15 @@ def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
     motion = np.asarray(head_motion, np.float64)
     middle = np.asarray(center, np.float64)
     rotations = Rotation.from_matrix(motion[:, :3, :3])
-    mean = rotations.mean()  # rotation vectors about it are small and do not wrap
-    vectors = (mean.inv() * rotations).as_rotvec()
+    mean = rotations.mean()
+    # Rotation vectors would jump where a performer turns around; quaternions change their sign.
+    quaternions = (mean.inv() * rotations).as_quat()
+    turned = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
+    quaternions[1:] *= np.cumprod(np.where(turned, -1.0, 1.0))[:, None]
     path = motion[:, :3, :3] @ middle + motion[:, :3, 3]
-    smooth = smooth_tracks(np.concatenate([vectors, path], axis=1))
-    turns = (mean * Rotation.from_rotvec(smooth[:, :3])).as_matrix()
-    return pose_matrices(turns, smooth[:, 3:] - turns @ middle)
+    smooth = smooth_tracks(np.concatenate([quaternions, path], axis=1))
+    turns = (mean * Rotation.from_quat(smooth[:, :4])).as_matrix()
+    return pose_matrices(turns, smooth[:, 4:] - turns @ middle)
 
 
 def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
