@@ -4,6 +4,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
 import pytest
 
 from usdface.core.errors import InputError
@@ -44,6 +45,25 @@ def test_linear_exr_and_one_channel_become_srgb(tmp_path: Path) -> None:
     write_image(tmp_path / "a.1.exr", grey)
     picture = ImageSequence(tmp_path / "a.1.exr", Fraction(24)).frame_at(0.0)
     np.testing.assert_allclose(picture, grey, atol=1)
+
+
+@pytest.mark.parametrize(("data", "place"), [((20, 10), (6, 5)), ((48, 36), (-8, -6))])
+def test_exr_is_shown_by_its_display_window(
+    tmp_path: Path, data: tuple[int, int], place: tuple[int, int]
+) -> None:
+    """Programs crop the data to what is not black, or render more than the picture."""
+    path, (width, height), (left, top) = tmp_path / "a.1.exr", data, place
+    spec = oiio.ImageSpec(width, height, 3, "half")
+    spec.x, spec.y, spec.full_width, spec.full_height = left, top, 32, 24
+    pixels = np.zeros((height, width, 3), np.float32)
+    pixels[8 - top : 12 - top, 10 - left : 20 - left] = 1.0
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(pixels)
+    output.close()
+    whole = np.zeros((24, 32, 3), np.uint8)
+    whole[8:12, 10:20] = 255
+    np.testing.assert_array_equal(ImageSequence(path, Fraction(24)).frame(0), whole)
 
 
 def test_a_sequence_needs_a_rate_a_number_and_pictures(tmp_path: Path, sequence: Path) -> None:

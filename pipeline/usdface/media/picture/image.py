@@ -229,16 +229,20 @@ def encode_image(
 
 
 def read_picture(path: Path) -> ByteImage:
-    """Read a picture as (height, width, 3) sRGB bytes; the linear light of EXR is encoded."""
+    """Read a picture as (height, width, 3) sRGB bytes.
+
+    The linear light of EXR is encoded, and its display window is read, black where it has no data.
+    """
     check_may_open(path)
     source = oiio.ImageInput.open(str(path))
     if source is None:
         raise InputError(f"{path}: cannot be read as a picture ({reason_of(oiio)})")
     spec, linear = source.spec(), path.suffix.lower() == ".exr"
-    if spec.width * spec.height * spec.nchannels > MAX_VALUES:
+    width, height = max(spec.width, spec.full_width), max(spec.height, spec.full_height)
+    if width * height * spec.nchannels > MAX_VALUES:
         raise InputError(
-            f"{path}: {spec.width} × {spec.height} with {spec.nchannels} channels is too large to "
-            "be shown; write it smaller"
+            f"{path}: {width} × {height} with {spec.nchannels} channels is too large to be shown; "
+            "write it smaller"
         )
     pixels = source.read_image(format="float" if linear else "uint8")
     reason = reason_of(source)
@@ -249,7 +253,14 @@ def read_picture(path: Path) -> ByteImage:
             "or write it again"
         )
     pixels = pixels[..., [0, 0, 0] if pixels.shape[2] < 3 else [0, 1, 2]]
-    return bytes_from_linear(pixels) if linear else np.ascontiguousarray(pixels)
+    if not linear:
+        return np.ascontiguousarray(pixels)
+    shown = np.zeros((spec.full_height, spec.full_width, 3), np.float32)
+    left, top = spec.x - spec.full_x, spec.y - spec.full_y
+    x0, x1 = np.clip((left, left + spec.width), 0, spec.full_width)
+    y0, y1 = np.clip((top, top + spec.height), 0, spec.full_height)
+    shown[y0:y1, x0:x1] = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
+    return bytes_from_linear(shown)
 
 
 def reason_of(source: Any) -> str:
