@@ -152,6 +152,15 @@ def test_keys_at_uneven_times_are_no_frames(tmp_path: Path) -> None:
         read_weight_table(path)
 
 
+@pytest.mark.parametrize("title", ["time_s", "Time (s)", "seconds"])
+def test_keys_seconds_apart_are_not_milliseconds_apart(tmp_path: Path, title: str) -> None:
+    path = tmp_path / "keys.csv"
+    path.write_text(f"{title},jawOpen,smile\n0,0,0\n1.5,1,0\n3,0,1\n")
+    take = read_capture(path, rate=24).take
+    assert (take.rate, take.frame_count) == (24, 73)
+    assert take.source.values[36].tolist() == [1, 0]
+
+
 def test_times_beside_frames_tell_the_rate_they_are_at(tmp_path: Path) -> None:
     path = tmp_path / "keys.csv"
     path.write_text("frame,time,jawOpen\n1,0.000,0\n31,1.000,1\n91,3.000,0\n")

@@ -54,14 +54,14 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     header, delimiter, titles = read_header(lines)
     triples = _triples(titles)
     at = {kind: place for place, title in enumerate(titles) if (kind := index_kind(title))}
-    timed = "time" in at or "ms" in at
+    timed = {"time", "s", "ms"} & at.keys()
     if not (timed or ("frame" in at and options.rate is not None)) or not triples:
         raise InputError(
             f"{header.where}: it must name a column time_s or time_ms, or a column frame with the "
             "frames per second given by --rate, and NAME.x, NAME.y, NAME.z for each marker (found "
             f"{', '.join(titles[:4])[:60]}, …); add what is missing"
         )
-    read = {at.get(kind) for kind in ("frame", "time", "ms")}
+    read = {at.get(kind) for kind in ("frame", "time", "s", "ms")}
     read |= {place + axis for place in triples.values() for axis in range(3)}
     others = [place for place in range(len(titles)) if place not in read]
     table = read_number_table(

@@ -12,7 +12,8 @@ from usdface.core.rates import NTSC_BASES, exact_rate
 
 _INDEX_TITLES = {
     "frame": ("frame", "frame#", "frames", "frame_number", "frame number", "framenumber"),
-    "time": ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp", "t"),
+    "time": ("time", "timestamp", "t"),
+    "s": ("time_s", "time (s)", "time (seconds)", "seconds"),
     "ms": ("time_ms", "timestamp_ms", "timestampms", "milliseconds", "ms"),
     "take": ("take", "take_name", "clip"),
     "timecode": ("timecode", "tc"),
@@ -238,15 +239,16 @@ def picture_frames(times: FloatArray, rate: Fraction | None) -> tuple[Fraction, 
 
 
 def index_kind(title: str) -> str:
-    """Return ``'frame'``, ``'time'``, ``'ms'``, ``'take'`` or ``'timecode'``, or else ``''``."""
+    """Return a key of `_INDEX_TITLES`, such as ``'frame'``, or else ``''``."""
     lowered = title.strip().lower()
     return next((kind for kind, names in _INDEX_TITLES.items() if lowered in names), "")
 
 
 def index_seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | None:
     """Return the times of rows [s], given the column of each kind; None without times."""
-    if "ms" in at:
-        return values[:, at["ms"]] * 1e-3
+    for kind, unit in (("s", 1.0), ("ms", 1e-3)):
+        if kind in at:
+            return values[:, at[kind]] * unit
     if "time" not in at:
         return None
     times = values[:, at["time"]]

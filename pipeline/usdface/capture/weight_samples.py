@@ -32,7 +32,7 @@ from usdface.core.text import first_few, read_json, read_text, repeated
 
 LARGEST_JSON_BYTES = 1 << 30
 _LARGEST_NAMES_BYTES = 16 << 20
-_COUNTED = ("frame", "time", "ms")
+_COUNTED = ("frame", "time", "s", "ms")
 _TEXTS = ("take", "timecode")
 _NAME_KEYS = (
     "facsNames",
