@@ -5,6 +5,7 @@ import weakref
 import numpy as np
 import pytest
 
+from tests.media.bar_code import turn_in_header
 from tests.steps.review.test_report import give_video
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.core.errors import InputError
@@ -37,6 +38,16 @@ def test_tiles_without_video_say_why(shot: Shot, monkeypatch: pytest.MonkeyPatch
 
         monkeypatch.setattr(VideoReader, "frame_at", damaged)
         assert drawn.video(120) == Tile(None, caption="cannot be decoded")
+
+
+def test_a_video_whose_picture_begins_after_time_0_has_its_aspect(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    give_video(shot)
+    turn_in_header(shot / "camera.mp4")
+    monkeypatch.setattr(VideoReader, "index_at", lambda self, seconds: None)
+    with pictures_of(shot) as drawn:
+        assert drawn.video_aspect == 9 / 16
 
 
 def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> None:

@@ -1,6 +1,6 @@
 """Draw single frames of a shot for sheets and movies: video, markers and faces."""
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from copy import copy
 from functools import cached_property
 from typing import Any, Literal, Self
@@ -90,11 +90,11 @@ class ShotPictures:
     @property
     def video_aspect(self) -> float:
         """Aspect ratio of the video's pictures; 16:9 if the first cannot be decoded."""
-        try:
-            picture = None if self._video is None else self._video.frame_at(0.0)
-        except InputError:
-            picture = None
-        return 16 / 9 if picture is None else picture.shape[1] / picture.shape[0]
+        if self._video is not None:
+            with suppress(InputError):
+                height, width = self._video.frame(0).shape[:2]
+                return width / height
+        return 16 / 9
 
     def __enter__(self) -> Self:
         video = self._shot.take.video
