@@ -244,6 +244,18 @@ def test_events_come_in_order_by_frame(take, tmp_path):
     np.testing.assert_allclose([event.frame for event in found], [1 + 12, 1 + 30], atol=1e-4)
 
 
+def test_spare_events_beyond_the_stated_number_are_none(take, tmp_path):
+    positions, visible, names = take
+    write_c3d(tmp_path / "plain.c3d", positions, visible, names, rate=120)
+    file = ezc3d.c3d(str(tmp_path / "plain.c3d"))
+    file.add_parameter("EVENT", "USED", [1])
+    file.add_parameter("EVENT", "LABELS", ["Clap", "", ""])
+    file.add_parameter("EVENT", "TIMES", np.array([[0.0, 0.0, 0.0], [0.25, 0.0, 0.0]]))
+    file.write(str(tmp_path / "marked.c3d"))
+    found = read_c3d_take(tmp_path / "marked.c3d", CaptureOptions()).take.events
+    assert [event.label for event in found] == ["Clap"]
+
+
 def test_a_take_cut_by_another_library_counts_by_its_header(take, tmp_path):
     positions, visible, labels = take
     write_c3d(tmp_path / "whole.c3d", positions, visible, labels, rate=60, first_frame=1)

@@ -286,6 +286,16 @@ def test_other_blocks_of_a_vicon_file_are_named_and_left_out(put):
     assert noted(read_capture(put(samples.vicon_csv())), "blocks left out: Devices")
 
 
+def test_a_vicon_file_may_begin_with_many_events(put):
+    rows = "".join(f"Kim,General,Event {number},{number / 10},\n" for number in range(40))
+    events = f"Events\n120\nSubject,Context,Name,Time (s),Description\n{rows}\n"
+    capture = read_capture(put(events + samples.vicon_csv()))
+    assert noted(capture, "blocks left out: Events")
+    np.testing.assert_array_equal(
+        marker_positions(capture), marker_positions(read_capture(put(samples.vicon_csv())))
+    )
+
+
 @pytest.mark.parametrize("labelled", [True, False], ids=["Motive 2 and 3", "Motive 1"])
 def test_solved_markers_of_motive_are_left_out_whatever_its_header_rows(put, labelled):
     capture = read_capture(put(samples.motive_csv(labelled)))

@@ -85,6 +85,7 @@ class C3dFile:
         """
         parameters = self.layout.parameters
         times, labels = parameters.numbers("EVENT:TIMES"), parameters.texts("EVENT:LABELS")
+        labels = labels[: parameters.unsigned("EVENT:USED")]  # some programs write spare ones
         if times.size and labels:
             pairs = times[: times.size // 2 * 2].reshape(-1, 2).tolist()  # minutes, seconds
             # Such as the subject or the side; there may be fewer than labels.

@@ -37,7 +37,7 @@ from usdface.core.errors import InputError
 from usdface.core.text import first_few
 
 _COLUMNS = re.compile(r'"?Frame"?\s*[,;\t]\s*"?Sub Frame"?', re.IGNORECASE)
-_HEAD_LINES = 12
+_HEAD_LINES = 1000  # a block of events may precede the columns of the first table
 _TITLE = "trajectories"
 
 
