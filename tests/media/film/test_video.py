@@ -1,3 +1,4 @@
+import wave
 from fractions import Fraction
 from pathlib import Path
 
@@ -197,6 +198,18 @@ def test_sound_comes_back_where_it_was(tmp_path: Path) -> None:
     read = read_audio(path, rate=16000)
     assert read.dtype == np.float32
     assert abs(int(np.argmax(np.abs(read))) - 16000) < 100
+
+
+@pytest.mark.parametrize("channels", [1, 2, 6, 8, 16])
+def test_sound_of_several_channels_is_their_mean(tmp_path: Path, channels: int) -> None:
+    path = tmp_path / "tracks.wav"
+    samples = np.zeros((16000, channels), np.int16)
+    samples[8000:8100, channels // 2] = 16384  # of six the fourth, which FFmpeg takes for bass
+    samples[12000:12100] = 32767
+    with wave.open(str(path), "wb") as stream:
+        stream.setparams((channels, 2, 16000, 0, "NONE", ""))
+        stream.writeframes(samples.tobytes())
+    np.testing.assert_allclose(read_audio(path), samples.mean(axis=1) / 32768, atol=1e-4)
 
 
 def test_movie_without_sound_is_refused_by_name(tmp_path: Path) -> None:
