@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.numerics.simulated_face import SimulatedFace, hold_head, simulate_face
 from usdface.capture.sniff import read_capture
+from usdface.numerics.repair import fit_low_rank
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.repair.outliers import find_lost
 from usdface.numerics.rigid.rigid_alignment import align_rigid
@@ -334,6 +335,14 @@ def test_a_take_seen_in_one_frame_alone_is_cleaned_without_a_warning():
     cleaned = clean(face)
     assert np.isfinite(cleaned.positions).all()
     np.testing.assert_allclose(cleaned.positions[5], face.captured[5], atol=0.1)
+
+
+def test_a_marker_seen_in_one_frame_of_a_long_take_is_cleaned(monkeypatch):
+    monkeypatch.setattr(fit_low_rank, "_FIT_FRAMES", 100)  # 16,000 of longer takes
+    face = simulate_face(frames=900)
+    face.visible[:, 7] = np.arange(900) == 450
+    cleaned = clean(face)
+    assert errors_mm(cleaned.positions, face.truth)[450, 7] < 1.0
 
 
 @pytest.mark.parametrize(

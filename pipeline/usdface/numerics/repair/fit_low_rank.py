@@ -79,6 +79,9 @@ def fit_low_rank(
     """
     shown = np.flatnonzero(good.any(axis=1))
     rows = shown[sample_frames(len(shown), _FIT_FRAMES)]
+    # A marker that is seen in few frames of a long take may be seen in none of these.
+    rare = ~good[rows].any(axis=0)
+    rows = np.union1d(rows, good[:, rare].argmax(axis=0))
     sample, usable = positions[rows], good[rows]
     if not usable.any(axis=0).all():
         missing = np.flatnonzero(~usable.any(axis=0)).tolist()
