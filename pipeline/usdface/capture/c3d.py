@@ -74,9 +74,11 @@ class C3dFile:
         layout = self.layout
         items = self._read_items(range(layout.frame_count)[start:stop])
         shape = (len(items) * layout.analog_per_frame, layout.analog_count)
-        stored = items[:, layout.point_count * 4 :].reshape(shape).astype(np.float32)
+        stored = items[:, layout.point_count * 4 :].reshape(shape)
+        if layout.scale > 0 and self._has_unsigned_analog:
+            stored = stored.astype(np.uint16)
         scale, offset = self._analog_calibration()
-        return np.asarray((stored - offset) * scale)
+        return np.asarray((stored.astype(np.float32) - offset) * scale)
 
     def events(self) -> tuple[Event, ...]:
         """Return the events of the EVENT group, or else of the header, by frame number.
@@ -127,14 +129,18 @@ class C3dFile:
         )
         scale[: scales.size] = scales
         offset[: offsets.size] = offsets
-        if parameters.text("ANALOG:FORMAT").upper().startswith("UNSIGNED"):
+        if self._has_unsigned_analog:
             offset %= 0x10000
         return scale * np.float32(1.0 if general is None else general), offset
+
+    @property
+    def _has_unsigned_analog(self) -> bool:
+        return self.layout.parameters.text("ANALOG:FORMAT").upper().startswith("UNSIGNED")
 
     def _read_items(self, frames: range) -> NDArray[np.generic]:
         """Read the stored numbers of some frames: (frames, items)."""
         layout = self.layout
-        stride = layout.frame_items * layout.item_size
+        stride = layout.frame_items * (4 if layout.scale < 0 else 2)
         raw = bytearray(stride * len(frames))
         with self.path.open("rb") as file:
             file.seek(layout.data_start + stride * frames.start)
@@ -147,8 +153,6 @@ class C3dFile:
         items: NDArray[np.generic]
         if layout.scale < 0:
             items = layout.processor.floats(raw)
-        elif layout.parameters.text("ANALOG:FORMAT").upper().startswith("UNSIGNED"):
-            items = _unsigned_analog(np.frombuffer(raw, layout.processor.integer), layout)
         else:
             items = np.frombuffer(raw, layout.processor.integer)
         return items.reshape(len(frames), layout.frame_items)
@@ -178,13 +182,6 @@ def _residuals(words: NDArray[np.generic], scale: float) -> Float32Array:
     packed = np.where(seen, values, 0).astype(np.int32)
     unseen = np.where(not_residual, np.float32(np.nan), np.float32(-1))
     return np.where(seen, (packed & 0xFF) * np.float32(scale), unseen)
-
-
-def _unsigned_analog(items: NDArray[np.int16], layout: C3dLayout) -> NDArray[np.int32]:
-    """Widen integers so that unsigned analog samples stay positive."""
-    wide = items.astype(np.int32).reshape(-1, layout.frame_items)
-    wide[:, layout.point_count * 4 :] &= 0xFFFF
-    return wide
 
 
 _CHUNK_FRAMES = 8192

@@ -43,11 +43,6 @@ class C3dLayout:
     """Contradictions and the reading that was chosen."""
 
     @property
-    def item_size(self) -> int:
-        """Bytes of one stored number."""
-        return 4 if self.scale < 0 else 2
-
-    @property
     def frame_items(self) -> int:
         """Stored numbers of one frame: x, y, z and residual of each point, then analog samples."""
         return self.point_count * 4 + self.analog_count * self.analog_per_frame

@@ -59,11 +59,6 @@ def test_without_the_focal_length_the_head_is_bent() -> None:
         assert least <= np.sqrt((left**2).sum(axis=2).mean()) < most
 
 
-def test_no_face_is_refused() -> None:
-    with pytest.raises(ValueError, match="no frame has a face"):
-        unprojected(np.full((3, 20, 3), np.nan), np.zeros(3, bool), CAMERA)
-
-
 def test_radial_distortion_is_undone_as_cardano_does() -> None:
     """One term: r + k r³ = d, a depressed cubic, whose real root is known."""
     k = 0.2

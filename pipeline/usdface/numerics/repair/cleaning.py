@@ -122,6 +122,7 @@ def clean_markers(
     positions : (frames, markers, 3) array_like
         [mm] Captured; anything finite where not visible.
     visible : (frames, markers) array_like of bool
+        Each marker in one frame at least.
     rigid : sequence of int
         Columns of the markers that move with the skull alone; see `rigid_markers`.
     neutral : int
@@ -137,7 +138,6 @@ def clean_markers(
         Whether to smooth, and to exchange swapped labels.
     """
     captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
-    _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     take, lost = _stabilize_without_lost(captured, seen, rigid, neutral, rate, skin_motion_mm)
     progress(0.05, "model of the motion")
@@ -194,16 +194,6 @@ def _refine_pose_and_slips(
     slips = find_slips(take.positions, good, model=model, rate=rate)
     rank = len(model.variances)
     return noise, undo_slips(take.positions, good, slips, neutral=neutral, rank=rank, noise=noise)
-
-
-def _check(captured: Float32Array, seen: BoolArray, neutral: int, max_gap: int) -> None:
-    if not 0 <= neutral < len(captured):
-        raise ValueError(f"neutral frame index {neutral} is outside 0 to {len(captured) - 1}")
-    if max_gap < 0:
-        raise ValueError(f"max_gap must be 0 or more frames, got {max_gap}")
-    if not seen.any(axis=0).all():
-        never = np.flatnonzero(~seen.any(axis=0)).tolist()
-        raise ValueError(f"markers {never} are never seen; leave them out")
 
 
 def _stabilize(

@@ -118,7 +118,7 @@ def unproject_head(
         x to the right, y down, z away from the camera, relative to any origin that moves with the
         head [pixels].
     seen : (frames,) bool array
-        Frames with a face.
+        Frames with a face, one at least.
     rigid : (n,) int array
         Landmarks that move with the skull, whose size determines the head's distance.
     eyes : two (n,) int arrays
@@ -126,8 +126,6 @@ def unproject_head(
     eye_distance_mm : float
         Between the centres of the eyes.
     """
-    if not seen.any():
-        raise ValueError("no frame has a face")
     pictured = landmarks[seen].copy()
     straight = camera.undistort(pictured[..., :2])
     # Landmarks extrapolated outside the picture may be beyond the fold of the distortion.

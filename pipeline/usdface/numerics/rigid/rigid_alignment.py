@@ -79,20 +79,9 @@ def align_rigid(
     weights : (frames, points) array_like, optional
         Not negative, or bool. All 1 by default.
     """
-    points, goals = np.asarray(positions), np.asarray(reference)
-    if (
-        points.ndim != 3
-        or points.shape[2] != 3
-        or goals.shape not in (points.shape, points.shape[1:])
-    ):
-        raise ValueError(
-            f"positions {points.shape} and reference {goals.shape} must be (frames, points, 3) and "
-            "(points, 3) or the same"
-        )
-    goals = np.broadcast_to(goals, points.shape)
+    points = np.asarray(positions)
+    goals = np.broadcast_to(reference, points.shape)
     w = np.broadcast_to(1.0, points.shape[:2]) if weights is None else np.array(weights, np.float64)
-    if w.shape != points.shape[:2]:
-        raise ValueError(f"weights {w.shape} must be (frames, points) = {points.shape[:2]}")
     count = len(points)
     rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
     determined = np.empty(count, bool)

@@ -56,6 +56,7 @@ def fit_robust_line(
     Parameters
     ----------
     x, y : (n,) float array
+        At least one point.
     tolerance : float
         Largest distance of an inlier, in the unit of `y`; less if most are nearer.
     largest_slope : float
@@ -65,8 +66,6 @@ def fit_robust_line(
     noise : float
         Least standard deviation of a point, in the unit of `y`.
     """
-    if not len(x):
-        raise ValueError("a line needs at least one point, got none")
     distance = _distances_to_best(x, y, tolerance, largest_slope)
     agreeing = np.zeros(len(x), bool)
     intercept, slope = 0.0, 0.0

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from usdface.core.assets import Video
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name
@@ -69,10 +69,10 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress) -> Step
 
 
 def _words(spec: PhonesSpec, text: str) -> tuple[str, ...]:
-    try:
+    if spec.transcript is None:
         return spoken_words(text)
-    except InputError as error:
-        raise InputError(f"{spec.transcript}: {error}" if spec.transcript else str(error)) from None
+    with as_input_error(spec.transcript, of=InputError):
+        return spoken_words(text)
 
 
 def _find_sound(spec: PhonesSpec) -> tuple[Path, Video | None]:

@@ -288,9 +288,8 @@ def _at_size(found: CalibratedCamera, video: OpenVideo, where: str) -> Calibrate
 
 def _picture_size(video: OpenVideo) -> tuple[int, int]:
     """Return width and height."""
-    picture = video.frame_at(float(video.times[0]))
-    assert picture is not None
-    return picture.shape[1], picture.shape[0]
+    height, width = video.frame(0).shape[:2]
+    return width, height
 
 
 def _lens(spec: TrackSpec, video: OpenVideo) -> tuple[PinholeCamera, str]:

@@ -242,10 +242,7 @@ class PictureDetector:
                 return self._read(stretch.file, stretch.pictures)
         faces = []
         for number, index in enumerate(stretch.pictures.tolist()):
-            seconds = float(video.times[index])
-            picture = video.frame_at(seconds)
-            if picture is None:  # times come from the video itself
-                raise InputError(f"{self._video}: no picture at {seconds:.3f} s; export it again")
+            picture = video.frame(index)
             if self._finder is None:
                 assert self._model is not None
                 self._finder = self._open_files.enter_context(FaceLandmarker(self._model))
