@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from usdface.core.errors import InputError
 from usdface.media.face.markers_view import draw_markers, frame_markers
 
 CLOUD = np.array([[-40.0, 30, 0], [40, 30, 0], [0, -50, 30]])
@@ -43,11 +42,6 @@ def test_a_stray_sample_does_not_shrink_the_face() -> None:
     stray = cloud.copy()
     stray[3, 4] = 9e4
     assert frame_markers(stray).height == pytest.approx(frame_markers(cloud).height, rel=0.05)
-
-
-def test_markers_without_a_position_are_refused() -> None:
-    with pytest.raises(InputError, match="no position"):
-        draw_markers(np.full((3, 3), np.nan), width=50, height=50)
 
 
 def test_dots_of_a_dense_cloud_leave_room_between_them() -> None:

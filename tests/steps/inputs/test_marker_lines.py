@@ -102,11 +102,11 @@ def test_the_demos_lips_are_two_rows_that_meet_at_the_corners(shot: Shot) -> Non
     }
 
 
-def test_lines_are_drawn_between_dots_that_are_shown() -> None:
-    at = np.array([[-40.0, 0, 0], [40, 0, 0], [0, 40, 0], [np.nan] * 3])
+def test_lines_are_drawn_between_dots() -> None:
+    at = np.array([[-40.0, 0, 0], [40, 0, 0], [0, 40, 0]])
     size = {"width": 200, "height": 200}
     bare = draw_markers(at, **size)
-    row = draw_markers(at, **size, lines=[[0, 1], [1, 3]])
+    row = draw_markers(at, **size, lines=[[0, 1]])
     changed = np.argwhere((row != bare).any(axis=2))
     assert len(changed) > 50
     assert np.ptp(changed[:, 0]) <= 3, "one thin line"

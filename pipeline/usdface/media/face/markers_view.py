@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import BoolArray, ByteImage, FloatArray
-from usdface.core.errors import InputError
+from usdface.core.arrays import ByteImage, FloatArray, distances
 from usdface.media.face.raycast import background
 from usdface.media.picture.canvas import draw_dot, draw_line
 from usdface.media.picture.color import Color, bytes_from_linear
@@ -41,32 +40,26 @@ _CLOUD_ROOM = 1.16
 def frame_markers(positions: ArrayLike) -> MarkersFrame:
     """Return the framing of a cloud over all of its frames, except outliers.
 
-    `positions`: (..., 3) [mm], without head motion.
+    `positions`: (..., markers, 3) [mm], without head motion.
     """
-    cloud = np.asarray(positions, np.float64).reshape(-1, 3)
-    cloud = cloud[np.isfinite(cloud).all(axis=1)]
-    if not len(cloud):
-        raise InputError("markers to draw: there is no position; check the take's markers")
+    cloud = np.asarray(positions, np.float64)
     # Percentiles, because a single outlier would shrink the face.
-    low, high = np.percentile(cloud, [0.2, 99.8], axis=0)
+    low, high = np.percentile(cloud.reshape(-1, 3), [0.2, 99.8], axis=0)
     span = np.maximum(high - low, 1e-6)
     return MarkersFrame(
         center=(low + high) / 2,
         height=float(_CLOUD_ROOM * max(span[:2])),
         depth=float(span[2]),
-        spacing=_spacing(np.asarray(positions, np.float64)),
+        spacing=_spacing(cloud),
     )
 
 
 def _spacing(positions: FloatArray) -> float:
-    """Return the median distance to the nearest marker, in the frame with the most markers."""
-    frames = positions.reshape(-1, *positions.shape[-2:])[..., :2]
-    seen: BoolArray = np.asarray(np.isfinite(frames).all(axis=2), bool)
-    best = int(seen.sum(axis=1).argmax())
-    at = frames[best][seen[best]]
+    """Return the median distance to the nearest marker, in the first frame."""
+    at = positions.reshape(-1, *positions.shape[-2:])[0, :, :2]
     if len(at) < 2:
         return np.inf
-    away = np.linalg.norm(at[:, None] - at, axis=2)
+    away = distances(at[:, None], at)
     np.fill_diagonal(away, np.inf)
     return float(np.median(away.min(axis=1)))
 
@@ -100,20 +93,13 @@ def draw_markers(
     view = frame or frame_markers(cloud)
     scale = height / view.height
     picture = bytes_from_linear(background(height, width))
-
-    def place(points: FloatArray) -> FloatArray:
-        local = (points - view.center) * scale
-        return np.stack([width / 2 + local[:, 0], height / 2 - local[:, 1]], axis=1)
-
-    at = place(cloud)
+    local = (cloud - view.center) * scale
+    at = np.stack([width / 2 + local[:, 0], height / 2 - local[:, 1]], axis=1)
     near = np.clip((cloud[:, 2] - view.center[2]) / max(view.depth, 1e-6) + 0.5, 0, 1)
-    finite = np.asarray(np.isfinite(at).all(axis=1), bool)
     size = min(width, height) / 320
     dot = min(size, _DOT_SHARE * view.spacing * scale / _LARGEST_DOT)
     draw_marker_lines(picture, at, lines, size=size)
     for marker in np.argsort(near, kind="stable"):
-        if not finite[marker]:
-            continue
         x, y = at[marker]
         radius = dot * (2.6 + 1.6 * near[marker])
         shade = _FAR + (_NEAR - _FAR) * near[marker]

@@ -83,9 +83,7 @@ class ShotPictures:
         markers = self._shot.markers
         step = max(len(markers.positions) // FRAMING_FRAMES, 1)
         positions = markers.positions[::step].astype(np.float64)
-        seen_first = np.isfinite(positions).all(axis=2).argmax(axis=0)
-        at = positions[seen_first, np.arange(len(seen_first))]
-        return frame_markers(positions), marker_lines(markers.names, at)
+        return frame_markers(positions), marker_lines(markers.names, positions[0])
 
     @property
     def video_aspect(self) -> float:
