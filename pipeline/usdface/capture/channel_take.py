@@ -147,8 +147,7 @@ def fill_frames(
     if seen is not None:
         values, frames = values[seen], frames[seen]
     for channel in range(values.shape[1]):
-        column = np.clip(values[:, channel], -limit, limit)
-        filled[:, channel] = np.interp(grid, frames, column)
+        filled[:, channel] = np.interp(grid, frames, np.clip(values[:, channel], -limit, limit))
     return filled
 
 

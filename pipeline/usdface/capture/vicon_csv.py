@@ -73,8 +73,7 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
         )
     if not skipped:
         return capture
-    note = f"blocks left out: {first_few(skipped)}"
-    return replace(capture, notes=(note, *capture.notes))
+    return replace(capture, notes=(f"blocks left out: {first_few(skipped)}", *capture.notes))
 
 
 def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:

@@ -223,5 +223,4 @@ def font_families() -> list[str]:
     if file is None:
         return ["DejaVu Sans"]
     font_manager.fontManager.addfont(str(file))
-    name = font_manager.FontProperties(fname=str(file)).get_name()
-    return ["DejaVu Sans", name]
+    return ["DejaVu Sans", font_manager.FontProperties(fname=str(file)).get_name()]

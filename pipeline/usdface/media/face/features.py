@@ -92,8 +92,7 @@ def find_bands(
     """
     points = np.concatenate([mesh.points for mesh in meshes])
     names, offsets = _offsets(meshes)
-    lips = _lips(points, names, offsets)
-    return (*lips, *_brows(points, names, offsets, list(eyeballs), skin))
+    return (*_lips(points, names, offsets), *_brows(points, names, offsets, list(eyeballs), skin))
 
 
 def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32Array) -> ColorBand:

@@ -89,8 +89,7 @@ class Surface:
         """
         normals = vertex_normals(fine, self.triangles, self.normals)
         summed = normals[self.middles.corners].sum(axis=1)
-        length = row_lengths(summed)
-        normals[self.middles.points] = summed / np.maximum(length, 1e-12)
+        normals[self.middles.points] = summed / np.maximum(row_lengths(summed), 1e-12)
         return normals
 
 
@@ -129,8 +128,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
     lit = np.flatnonzero(colored_by_light(visible, pieces))
     exposure, outward = _rest_exposure(visible, shown, lit, rays=_EXPOSURE_RAYS)
-    cage = np.concatenate([mesh.points for mesh in visible])
-    rest = np.asarray(drawn.matrix @ cage)
+    rest = np.asarray(drawn.matrix @ np.concatenate([mesh.points for mesh in visible]))
     complexion = paint(visible, pieces, exposure=exposure)
     band_opacity = drawn.matrix @ complexion.band_opacity
     near = np.zeros(len(band_opacity), bool)

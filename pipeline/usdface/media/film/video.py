@@ -211,8 +211,7 @@ def _upright(frame: Any, aspect: Fraction | None) -> ByteImage:
     if aspect and aspect != 1 and Fraction(1, 4) < aspect < 4:
         options["width"] = max(int(frame.width * aspect + Fraction(1, 2)), 1)
     pixels = frame.reformat(**options).to_ndarray()
-    turns = round((frame.rotation or 0) / 90) % 4
-    return np.ascontiguousarray(np.rot90(pixels, turns))
+    return np.ascontiguousarray(np.rot90(pixels, round((frame.rotation or 0) / 90) % 4))
 
 
 def _timecode(container: Any) -> str:

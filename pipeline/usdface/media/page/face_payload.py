@@ -185,8 +185,7 @@ class _Keys:
         points, narrow, wide = (list[NDArray[np.int64]]() for _ in range(3))
         counts, is_wide = list[int](), list[bool]()
         for key in range(cage.shape[0]):
-            dense = np.stack([axis[[key]].toarray()[0] for axis in axes])
-            offsets = _micrometres(dense)
+            offsets = _micrometres(np.stack([axis[[key]].toarray()[0] for axis in axes]))
             moved = np.flatnonzero(offsets.any(axis=0))
             planes = np.diff(offsets[:, moved], prepend=0, axis=1).ravel()
             # Differences wrap modulo the type, so the width follows from the offsets.

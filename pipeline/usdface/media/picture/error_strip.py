@@ -78,8 +78,7 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
         if len(finite):
             unit = curve.unit or strip.unit
             mean = f"{finite.mean():.0f}%" if unit == "%" else f"{finite.mean():.2f} {unit}"
-            below = lane + round(size * 26)
-            draw_text(page, mean, x=x, y=below, style=axis_style, max_width=room)
+            draw_text(page, mean, x=x, y=lane + round(size * 26), style=axis_style, max_width=room)
         area = page[lane : lane + round(size * LANE_HEIGHT), left : left + inner]
         _draw_lane(area, curve.values, count, curve.high or strip.high)
     bottom = top + len(strip.curves) * step - round(size * _LANE_GAP)

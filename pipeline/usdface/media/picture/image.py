@@ -181,8 +181,7 @@ def _specification(
     if timecode is not None and suffix == ".exr":
         spec.attribute("smpte:TimeCode", oiio.TypeTimeCode, (pack_timecode(timecode), 0))
     if rate is not None and suffix == ".exr":
-        fraction = (rate.numerator, rate.denominator)
-        spec.attribute("FramesPerSecond", oiio.TypeRational, fraction)
+        spec.attribute("FramesPerSecond", oiio.TypeRational, (rate.numerator, rate.denominator))
     return spec
 
 

@@ -220,8 +220,7 @@ def _set_up(plan: _Plan, stopped: Callable[[], bool]) -> None:
 
 
 def _work(stretch: _Stretch) -> None:
-    if _shared is None:
-        raise RuntimeError("the worker was not set up")
+    assert _shared is not None
     _draw_stretch(_shared, stretch)
 
 
