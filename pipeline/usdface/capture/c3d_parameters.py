@@ -6,8 +6,9 @@ parameters are either read by then, or reported as missing by name.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain, count, takewhile
 
 import numpy as np
 
@@ -71,13 +72,8 @@ class Parameters:
     """Parameters that could not be read."""
 
     def numbers(self, name: str) -> FloatArray:
-        """Return the numbers of a parameter and its continuations (see `texts`), flat.
-
-        Empty if absent or text.
-        """
-        found: list[FloatArray] = []
-        while isinstance(value := self.values.get(_part(name, len(found) + 1)), np.ndarray):
-            found.append(value.ravel())
+        """Return the numbers of a parameter and its continuations, flat; empty if it has none."""
+        found = [part.ravel() for part in self._parts(name) if isinstance(part, np.ndarray)]
         return np.concatenate(found) if found else np.empty(0)
 
     def number(self, name: str) -> float | None:
@@ -101,24 +97,22 @@ class Parameters:
         return low + (high << 16)
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """Return the texts of a parameter and of its continuations ``NAME2``, ``NAME3`` and so on.
+        """Return the texts of a parameter and of its continuations."""
+        parts = (part for part in self._parts(name) if isinstance(part, tuple))
+        return tuple(text for part in parts for text in part)
+
+    def _parts(self, name: str) -> Iterator[Value]:
+        """Yield a parameter and its continuations ``NAME2``, ``NAME3`` and so on.
 
         One parameter holds at most 255 entries, so long label lists are continued.
         """
-        found: list[tuple[str, ...]] = []
-        while isinstance(value := self.values.get(_part(name, len(found) + 1)), tuple):
-            found.append(value)
-        return tuple(text for part in found for text in part)
+        names = chain([name], (f"{name}{number}" for number in count(2)))
+        return (self.values[each] for each in takewhile(self.values.__contains__, names))
 
     def text(self, name: str) -> str:
         """Return the first text of a parameter; empty when absent."""
         value = self.values.get(name)
         return value[0] if isinstance(value, tuple) and value else ""
-
-
-def _part(name: str, number: int) -> str:
-    """Return the name of a parameter's first, second, … part."""
-    return name if number == 1 else f"{name}{number}"
 
 
 def parse_parameters(section: bytes, *, processor: Processor) -> Parameters:

@@ -64,8 +64,7 @@ class ColorBand:
         room = self.edge / 2
         low = (self.ends[0], float((curve - below).min()) - room, float(least.min()))
         high = (self.ends[1], float((curve + above).max()) + room, np.inf)
-        reaches = (corners.max(axis=1) > low) & (corners.min(axis=1) < high)
-        return np.asarray(reaches.all(axis=1))
+        return np.asarray(((corners.max(axis=1) > low) & (corners.min(axis=1) < high)).all(axis=1))
 
     def share(self, rest: Float32Array) -> Float32Array:
         """Return the opacity of the colour at points of the resting face [0-1].

@@ -1,4 +1,4 @@
-"""Polygon meshes: open edges, connected pieces, and triangles."""
+"""Polygon meshes: open edges and triangles."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,6 @@ from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.numerics.surface.surface_graph import connected_parts
 from usdface.numerics.surface.triangulation import (
     Sparse,
     normal_operator,
@@ -22,12 +21,6 @@ def border_edges(mesh: RigMesh) -> IntArray:
     sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
     edges, uses = np.unique(sides, axis=0, return_counts=True)
     return np.asarray(edges[uses == 1])
-
-
-def components(mesh: RigMesh) -> IntArray:
-    """Return the connected piece of each point: (points,) int array."""
-    edges = polygon_edges(mesh.face_counts, mesh.face_indices)
-    return connected_parts(edges, len(mesh.points))
 
 
 LEAST_ANGLE = np.radians(0.5)

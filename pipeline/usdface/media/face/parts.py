@@ -13,7 +13,9 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.media.face.mesh_topology import border_edges, components
+from usdface.media.face.mesh_topology import border_edges
+from usdface.numerics.surface.surface_graph import connected_parts
+from usdface.numerics.surface.triangulation import polygon_edges
 
 
 class FacePart(IntEnum):
@@ -131,7 +133,8 @@ def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[FacePart | None]]:
     for mesh in meshes:
         part = part_from_name(mesh.path)
         if part in (None, FacePart.EYE):
-            own = np.unique(components(mesh), return_inverse=True)[1].reshape(-1)
+            edges = polygon_edges(mesh.face_counts, mesh.face_indices)
+            own = connected_parts(edges, len(mesh.points))
         else:
             own = np.zeros(len(mesh.points), np.int64)
         labels.append(own + len(named))

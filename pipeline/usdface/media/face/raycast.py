@@ -136,8 +136,7 @@ def cast_first(view: View) -> FirstHits:
     slots = np.full(height * width, -1, np.int64)
     slots[rays] = np.arange(len(rays))
     hit = (slots >= 0).reshape(height, width)
-    holes = ndimage.binary_fill_holes(hit) & ~hit
-    return FirstHits(samples, rays, seen, slots, holes)
+    return FirstHits(samples, rays, seen, slots, ndimage.binary_fill_holes(hit) & ~hit)
 
 
 def draw(view: View, first: FirstHits) -> Float32Array:

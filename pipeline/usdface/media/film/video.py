@@ -197,8 +197,7 @@ def _even_rate(stamps: IntArray, base: Fraction, stated: Fraction | None) -> Fra
     if not stated or len(stamps) < 2:
         return None if not stated else Fraction(stated)
     rate = Fraction(stated)
-    expected = np.arange(len(stamps)) * float(1 / (rate * base))
-    drift = stamps - stamps[0] - expected
+    drift = stamps - stamps[0] - np.arange(len(stamps)) * float(1 / (rate * base))
     return rate if np.abs(drift).max() <= 1.5 else None
 
 

@@ -251,8 +251,7 @@ def _colors(rig: Rig, deformer: Deformer, surface: Surface) -> NDArray[np.uint8]
 def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:
     """Return the visible share of the sky of some drawn points in one pose of the rig [0-1]."""
     fine = np.asarray(surface.matrix @ cage)
-    normals = surface.normals_at(fine)[rows]
-    aim = (surface.outward * normals).astype(np.float32)
+    aim = (surface.outward * surface.normals_at(fine)[rows]).astype(np.float32)
     return sky_seen(
         Tracer(fine.astype(np.float32), traced_triangles(surface.triangles)),
         fine[rows].astype(np.float32) + np.float32(2e-3 * surface.size) * aim,

@@ -105,8 +105,7 @@ def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> 
     last = np.maximum((np.arange(width) + 1) * count // width, first + 1)
     padded = np.full(count + 1, -np.inf)
     padded[: len(values)] = np.where(np.isfinite(values), values, -np.inf)
-    bounds = np.stack([first, last], axis=1).ravel()
-    maxima = np.maximum.reduceat(padded, bounds)[::2]
+    maxima = np.maximum.reduceat(padded, np.stack([first, last], axis=1).ravel())[::2]
     known = np.isfinite(maxima)
     error = np.where(known, maxima, 0.0)
     tall = np.where(known, np.clip(error / high, 0.03, 1) * height, 0)
