@@ -147,7 +147,8 @@ def fill_frames(
     if seen is not None:
         values, frames = values[seen], frames[seen]
     for channel in range(values.shape[1]):
-        filled[:, channel] = np.interp(grid, frames, np.clip(values[:, channel], -limit, limit))
+        column = np.clip(values[:, channel], -limit, limit)
+        filled[:, channel] = np.interp(grid, frames, column)
     return filled
 
 

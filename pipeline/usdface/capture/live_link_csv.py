@@ -178,7 +178,8 @@ def _without_milliseconds(rows: _Rows, base: int, notes: list[str]) -> _Rows:
 def _unwrap(rows: _Rows, base: int) -> FloatArray:
     """Return seconds since the first midnight, continuous across later ones."""
     seconds: FloatArray = np.array(rows.whole) + np.array(rows.parts) / base
-    seconds[1:] += _DAY_SECONDS * np.cumsum(np.diff(seconds) < -_DAY_SECONDS / 2)
+    midnights = np.diff(seconds) < -_DAY_SECONDS / 2
+    seconds[1:] += _DAY_SECONDS * np.cumsum(midnights)
     return seconds
 
 

@@ -99,7 +99,8 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
         options,
     )
     confidence = np.zeros(int(frames[-1]) + 1)
-    confidence[frames] = np.nan_to_num(table.values[:, at["confidence"]], posinf=0, neginf=0)
+    stated = table.values[:, at["confidence"]]
+    confidence[frames] = np.nan_to_num(stated, posinf=0, neginf=0)
     return _add(capture, source, confidence)
 
 

@@ -159,7 +159,8 @@ def recognise_format(path: Path) -> CaptureFormat:
 
 def _readable(head: bytes) -> str:
     """Return the first characters of a file in printable form."""
-    return repr(head[:24].decode("ascii", errors="replace").replace("\ufffd", "?"))
+    text = head[:24].decode("ascii", errors="replace")
+    return repr(text.replace("\ufffd", "?"))
 
 
 def _named_format(name: str) -> CaptureFormat:

@@ -319,8 +319,9 @@ _LARGEST_CSV_BYTES = 1 << 30
 
 def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, object]]]:
     """Read the rows of a table that must have `columns`, each with its line for messages."""
+    text = read_text(path, _LARGEST_CSV_BYTES)
     # Lines of a file: `str.splitlines` also cuts cells at form feeds and Unicode separators.
-    lines = io.StringIO(read_text(path, _LARGEST_CSV_BYTES), newline=None)
+    lines = io.StringIO(text, newline=None)
     delimiter = sniff_delimiter(lines.readline()) or ","
     lines.seek(0)
     reader = csv.DictReader(lines, delimiter=delimiter)

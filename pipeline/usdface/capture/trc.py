@@ -50,12 +50,14 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     stated = next_line(lines, path, "values of the header")
     header = _header(split_cells(keys, delimiter), split_cells(stated, delimiter))
     titles = next_line(lines, path, "marker names")
-    labels = _labels(titles, next_line(lines, path, "X1 Y1 Z1 and so on"), delimiter)
+    axes = next_line(lines, path, "X1 Y1 Z1 and so on")
+    labels = _labels(titles, axes, delimiter)
     columns = ["Frame#", "Time"] + [f"{label}.{axis}" for label in labels for axis in "XYZ"]
     unnamed: list[int] = []
     rows = _without_unnamed(lines, len(columns), delimiter, unnamed)
     table = read_number_table(rows, columns, path=path, delimiter=delimiter, gaps=True)
-    notes = _check_counts(header, len(labels), max(unnamed, default=0), len(table.values))
+    most = max(unnamed, default=0)
+    notes = _check_counts(header, len(labels), most, len(table.values))
     table = without_repeated_rows(table, notes)
     first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = read_rate(header.get("DataRate") or str(options.rate or ""), stated, "DataRate")

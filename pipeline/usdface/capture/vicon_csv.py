@@ -73,7 +73,8 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
         )
     if not skipped:
         return capture
-    return replace(capture, notes=(f"blocks left out: {first_few(skipped)}", *capture.notes))
+    note = f"blocks left out: {first_few(skipped)}"
+    return replace(capture, notes=(note, *capture.notes))
 
 
 def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:

@@ -336,7 +336,8 @@ def _read_npy(path: Path, shapes: Path | None) -> WeightSamples:
     if len(bad):
         row, column = bad[0].tolist()
         raise InputError(f"{path} row {row + 1}, {names[column]}: is not finite; export it again")
-    return WeightSamples(tuple(names), values.astype(np.float64), np.arange(1, len(values) + 1))
+    lines = np.arange(1, len(values) + 1)
+    return WeightSamples(tuple(names), values.astype(np.float64), lines)
 
 
 def _names_path(path: Path, end: str) -> Path:

@@ -223,4 +223,5 @@ def font_families() -> list[str]:
     if file is None:
         return ["DejaVu Sans"]
     font_manager.fontManager.addfont(str(file))
-    return ["DejaVu Sans", font_manager.FontProperties(fname=str(file)).get_name()]
+    name = font_manager.FontProperties(fname=str(file)).get_name()
+    return ["DejaVu Sans", name]

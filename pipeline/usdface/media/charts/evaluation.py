@@ -100,7 +100,8 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     shapes_top = lips_top
     if page.lips is not None:
         shapes_top += LIPS_HEIGHT + 100
-    figure = new_figure(PAGE_WIDTH, shapes_top + (rows * _ROW_HEIGHT + 70 if rows else 0))
+    bottom = shapes_top + (rows * _ROW_HEIGHT + 70 if rows else 0)
+    figure = new_figure(PAGE_WIDTH, bottom)
     if page.lips is not None:
         _draw_lips(figure, *page.lips, page.first_frame, y=lips_top + 28)
     if shapes:
@@ -162,7 +163,8 @@ def _draw_shapes(figure: Figure, shapes: Sequence[ShapeBar], *, y: int) -> None:
     for column in range(COLUMN_COUNT):
         listed = shapes[column * rows : (column + 1) * rows]
         x = PAGE_MARGIN + column * pitch + NAME_WIDTH
-        axes = add_axes(figure, (x, y, pitch - NAME_WIDTH - _NUMBERS_WIDTH, rows * _ROW_HEIGHT))
+        box = (x, y, pitch - NAME_WIDTH - _NUMBERS_WIDTH, rows * _ROW_HEIGHT)
+        axes = add_axes(figure, box)
         axes.set_axis_off()
         axes.set_xlim(0, longest)
         axes.set_ylim(rows - 0.5, -0.5)

@@ -64,7 +64,8 @@ class ColorBand:
         room = self.edge / 2
         low = (self.ends[0], float((curve - below).min()) - room, float(least.min()))
         high = (self.ends[1], float((curve + above).max()) + room, np.inf)
-        return np.asarray(((corners.max(axis=1) > low) & (corners.min(axis=1) < high)).all(axis=1))
+        reaches = (corners.max(axis=1) > low) & (corners.min(axis=1) < high)
+        return np.asarray(reaches.all(axis=1))
 
     def share(self, rest: Float32Array) -> Float32Array:
         """Return the opacity of the colour at points of the resting face [0-1].
@@ -91,7 +92,8 @@ def find_bands(
     """
     points = np.concatenate([mesh.points for mesh in meshes])
     names, offsets = _offsets(meshes)
-    return (*_lips(points, names, offsets), *_brows(points, names, offsets, list(eyeballs), skin))
+    lips = _lips(points, names, offsets)
+    return (*lips, *_brows(points, names, offsets, list(eyeballs), skin))
 
 
 def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32Array) -> ColorBand:

@@ -136,7 +136,8 @@ def cast_first(view: View) -> FirstHits:
     slots = np.full(height * width, -1, np.int64)
     slots[rays] = np.arange(len(rays))
     hit = (slots >= 0).reshape(height, width)
-    return FirstHits(samples, rays, seen, slots, ndimage.binary_fill_holes(hit) & ~hit)
+    holes = ndimage.binary_fill_holes(hit) & ~hit
+    return FirstHits(samples, rays, seen, slots, holes)
 
 
 def draw(view: View, first: FirstHits) -> Float32Array:

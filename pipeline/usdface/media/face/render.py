@@ -121,7 +121,8 @@ class FaceRenderer:
         if framing not in pose.first:
             pose.first.clear()  # they are large, and a camera may turn around a pose
             pose.first[framing] = cast_first(view)
-        return (bytes_from_linear if view.heat else self._display)(draw(view, pose.first[framing]))
+        picture = draw(view, pose.first[framing])
+        return (bytes_from_linear if view.heat else self._display)(picture)
 
     def _pose(self, points: FloatArray | Float32Array, sculpted: FloatArray | None) -> _Pose:
         """Return a pose; the last two are cached, for pictures with heat maps beside others."""

@@ -89,7 +89,8 @@ class Surface:
         """
         normals = vertex_normals(fine, self.triangles, self.normals)
         summed = normals[self.middles.corners].sum(axis=1)
-        normals[self.middles.points] = summed / np.maximum(row_lengths(summed), 1e-12)
+        length = row_lengths(summed)
+        normals[self.middles.points] = summed / np.maximum(length, 1e-12)
         return normals
 
 
@@ -128,7 +129,8 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
     lit = np.flatnonzero(colored_by_light(visible, pieces))
     exposure, outward = _rest_exposure(visible, shown, lit, rays=_EXPOSURE_RAYS)
-    rest = np.asarray(drawn.matrix @ np.concatenate([mesh.points for mesh in visible]))
+    cage = np.concatenate([mesh.points for mesh in visible])
+    rest = np.asarray(drawn.matrix @ cage)
     complexion = paint(visible, pieces, exposure=exposure)
     band_opacity = drawn.matrix @ complexion.band_opacity
     near = np.zeros(len(band_opacity), bool)

@@ -163,7 +163,9 @@ def _changes(pictures: Iterator[ByteImage]) -> Iterator[tuple[int, ByteImage]]:
 def _padded(picture: ByteImage) -> ByteImage:
     """Return a picture of even size."""
     rows, columns = picture.shape[0] % 2, picture.shape[1] % 2
-    return np.pad(picture, ((0, rows), (0, columns), (0, 0)), mode="edge")
+    if rows or columns:
+        picture = np.pad(picture, ((0, rows), (0, columns), (0, 0)), mode="edge")
+    return np.ascontiguousarray(picture)
 
 
 def _same_size(file: Path, first: ByteImage, pictures: Iterable[ByteImage]) -> Iterator[ByteImage]:

@@ -55,7 +55,8 @@ def join_movies(
             with av.open(str(temporary), "w", format=container_format) as container:
                 stated = {"timecode": timecode, "comment": comment}
                 container.metadata.update({key: text for key, text in stated.items() if text})
-                _copy(parts, repeat(None) if pictures is None else pictures, container, rate, audio)
+                counts = repeat(None) if pictures is None else pictures
+                _copy(parts, counts, container, rate, audio)
         except (av.error.FFmpegError, OSError, ValueError) as error:
             which = f"{parts[0]} and those after it" if len(parts) > 1 else str(parts[0])
             raise InputError(

@@ -197,7 +197,8 @@ def _even_rate(stamps: IntArray, base: Fraction, stated: Fraction | None) -> Fra
     if not stated or len(stamps) < 2:
         return None if not stated else Fraction(stated)
     rate = Fraction(stated)
-    drift = stamps - stamps[0] - np.arange(len(stamps)) * float(1 / (rate * base))
+    expected = np.arange(len(stamps)) * float(1 / (rate * base))
+    drift = stamps - stamps[0] - expected
     return rate if np.abs(drift).max() <= 1.5 else None
 
 
@@ -210,7 +211,8 @@ def _upright(frame: Any, aspect: Fraction | None) -> ByteImage:
     if aspect and aspect != 1 and Fraction(1, 4) < aspect < 4:
         options["width"] = max(int(frame.width * aspect + Fraction(1, 2)), 1)
     pixels = frame.reformat(**options).to_ndarray()
-    return np.ascontiguousarray(np.rot90(pixels, round((frame.rotation or 0) / 90) % 4))
+    turns = round((frame.rotation or 0) / 90) % 4
+    return np.ascontiguousarray(np.rot90(pixels, turns))
 
 
 def _timecode(container: Any) -> str:

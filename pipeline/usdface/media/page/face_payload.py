@@ -185,7 +185,8 @@ class _Keys:
         points, narrow, wide = (list[NDArray[np.int64]]() for _ in range(3))
         counts, is_wide = list[int](), list[bool]()
         for key in range(cage.shape[0]):
-            offsets = _micrometres(np.stack([axis[[key]].toarray()[0] for axis in axes]))
+            dense = np.stack([axis[[key]].toarray()[0] for axis in axes])
+            offsets = _micrometres(dense)
             moved = np.flatnonzero(offsets.any(axis=0))
             planes = np.diff(offsets[:, moved], prepend=0, axis=1).ravel()
             # Differences wrap modulo the type, so the width follows from the offsets.
@@ -251,7 +252,8 @@ def _colors(rig: Rig, deformer: Deformer, surface: Surface) -> NDArray[np.uint8]
 def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:
     """Return the visible share of the sky of some drawn points in one pose of the rig [0-1]."""
     fine = np.asarray(surface.matrix @ cage)
-    aim = (surface.outward * surface.normals_at(fine)[rows]).astype(np.float32)
+    normals = surface.normals_at(fine)[rows]
+    aim = (surface.outward * normals).astype(np.float32)
     return sky_seen(
         Tracer(fine.astype(np.float32), traced_triangles(surface.triangles)),
         fine[rows].astype(np.float32) + np.float32(2e-3 * surface.size) * aim,

@@ -137,4 +137,5 @@ def scale_picture(picture: ByteImage, width: int, height: int) -> ByteImage:
     """Resample a picture with an antialiased three-lobed Lanczos filter."""
     if picture.shape[:2] == (height, width):
         return picture
-    return np.array(Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS))
+    image = Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS)
+    return np.array(image)

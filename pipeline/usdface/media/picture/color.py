@@ -71,7 +71,8 @@ _ENCODE = np.round(srgb_from_linear(np.arange(4096) / 4095) * 255).astype(np.uin
 
 def bytes_from_linear(linear: Float32Array | FloatArray) -> ByteImage:
     """Encode linear light as sRGB bytes, by table: within one code except near black."""
-    return _ENCODE[np.clip(linear * 4095 + 0.5, 0, 4095).astype(np.uint16)]
+    index = np.clip(linear * 4095 + 0.5, 0, 4095).astype(np.uint16)
+    return _ENCODE[index]
 
 
 def mix_color(window: ByteImage, cover: ArrayLike, color: ArrayLike) -> None:

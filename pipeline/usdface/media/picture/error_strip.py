@@ -78,7 +78,8 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
         if len(finite):
             unit = curve.unit or strip.unit
             mean = f"{finite.mean():.0f}%" if unit == "%" else f"{finite.mean():.2f} {unit}"
-            draw_text(page, mean, x=x, y=lane + round(size * 26), style=axis_style, max_width=room)
+            below = lane + round(size * 26)
+            draw_text(page, mean, x=x, y=below, style=axis_style, max_width=room)
         area = page[lane : lane + round(size * LANE_HEIGHT), left : left + inner]
         _draw_lane(area, curve.values, count, curve.high or strip.high)
     bottom = top + len(strip.curves) * step - round(size * _LANE_GAP)
@@ -105,7 +106,8 @@ def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> 
     last = np.maximum((np.arange(width) + 1) * count // width, first + 1)
     padded = np.full(count + 1, -np.inf)
     padded[: len(values)] = np.where(np.isfinite(values), values, -np.inf)
-    maxima = np.maximum.reduceat(padded, np.stack([first, last], axis=1).ravel())[::2]
+    bounds = np.stack([first, last], axis=1).ravel()
+    maxima = np.maximum.reduceat(padded, bounds)[::2]
     known = np.isfinite(maxima)
     error = np.where(known, maxima, 0.0)
     tall = np.where(known, np.clip(error / high, 0.03, 1) * height, 0)

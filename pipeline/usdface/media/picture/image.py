@@ -181,7 +181,8 @@ def _specification(
     if timecode is not None and suffix == ".exr":
         spec.attribute("smpte:TimeCode", oiio.TypeTimeCode, (pack_timecode(timecode), 0))
     if rate is not None and suffix == ".exr":
-        spec.attribute("FramesPerSecond", oiio.TypeRational, (rate.numerator, rate.denominator))
+        fraction = (rate.numerator, rate.denominator)
+        spec.attribute("FramesPerSecond", oiio.TypeRational, fraction)
     return spec
 
 

@@ -224,4 +224,5 @@ def as_ink(picture: ByteImage) -> ByteImage:
     light = picture.astype(np.float32).max(axis=2)
     wall = bytes_from_linear(background(height, width)).astype(np.float32).max(axis=2)
     cover = np.clip((light - wall) / (200.0 - wall), 0.0, 1.0) ** 0.7
-    return np.repeat((255.0 * (1.0 - cover)).astype(np.uint8)[:, :, None], 3, axis=2)
+    gray = (255.0 * (1.0 - cover)).astype(np.uint8)
+    return np.repeat(gray[:, :, None], 3, axis=2)

@@ -163,7 +163,8 @@ def clean_markers(
         take.positions, good, model=model, max_gap=max_gap, noise=sigma, rate=rate
     )
     for swap in swaps:
-        confidence[swap.start : swap.stop, [swap.first, swap.second]] *= _RELABELLED_CONFIDENCE
+        relabelled = [swap.first, swap.second]
+        confidence[swap.start : swap.stop, relabelled] *= _RELABELLED_CONFIDENCE
     if smooth:
         progress(0.8, "noise")
         smooth_take(take.positions, model, noise=noise)
@@ -305,7 +306,8 @@ def _pose_by_face(
     """
     posed = _with_measured_pose(take, labelled)
     model = fit_low_rank(take.positions, posed, rank_limit=rank, start=start, noise=noise)
-    rows = np.flatnonzero(~take.measured & (take.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS))
+    known = take.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS
+    rows = np.flatnonzero(~take.measured & known)
     if not len(rows):
         return model
     poses, variance = pose_by_face(

@@ -4,9 +4,7 @@ Correlation of onsets gives the shift to 10 ms, phase correlation gives the dela
 0.01 ms, and a robust line through these shift and drift. Failures of each are reported.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -123,8 +121,8 @@ def align_sounds(
     coarse = correlate_onsets(*onsets, largest_drift=_LARGEST_DRIFT)
     if coarse is None:
         return SoundAlignment(0.0, 0.0, 0.0, ("a recording holds only an unchanging sound",))
-    measure = partial(_measure, first, second, rate)
-    rough = _by_onsets(coarse, len(first) / rate / 2)
+    pair = _Pair(first, second, rate)
+    rough = _by_onsets(coarse, pair.seconds[0] / 2)
     rivals = [coarse.rival]
     if rough.warnings:
         progress(0.5, "searching by phase")
@@ -132,7 +130,7 @@ def align_sounds(
             first,
             second,
             rate=rate,
-            window=_window_seconds(min(len(first), len(second)) / rate),
+            window=_window_seconds(min(pair.seconds)),
             count=_SCANNED_WINDOWS,
             largest_drift=_LARGEST_DRIFT,
         )
@@ -140,22 +138,31 @@ def align_sounds(
         rough = rough if by_phase.warnings else by_phase
         rivals.append(np.nan if vote is None else vote.rival)
     progress(0.8, "measuring delays")
-    line = measure(rough, count=_MOST_WINDOWS)
+    line = _measure(pair, rough, count=_MOST_WINDOWS)
     if not rough.warnings:
-        rough = _against_rivals(measure, rough, rivals)
+        rough = _against_rivals(pair, rough, rivals)
     progress(1.0, "aligned")
     return _conclude(rough, coarse, *line)
 
 
-def _measure(
-    first: Float32Array, second: Float32Array, rate: int, rough: "_RoughShift", *, count: int
-) -> tuple[WindowDelays, RobustLine]:
+@dataclass(frozen=True)
+class _Pair:
+    first: Float32Array
+    second: Float32Array
+    rate: int
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        return len(self.first) / self.rate, len(self.second) / self.rate
+
+
+def _measure(pair: "_Pair", rough: "_RoughShift", *, count: int) -> tuple[WindowDelays, RobustLine]:
     at_zero = rough.shift - rough.drift * rough.middle
-    overlap = min(len(first) / rate, len(second) / rate - at_zero) - max(0.0, -at_zero)
+    overlap = min(pair.seconds[0], pair.seconds[1] - at_zero) - max(0.0, -at_zero)
     windows = window_delays(
-        first,
-        second,
-        rate=rate,
+        pair.first,
+        pair.second,
+        rate=pair.rate,
         window=_window_seconds(overlap),
         count=count,
         expected=(at_zero, rough.drift),
@@ -174,16 +181,13 @@ def _measure(
     return windows, line
 
 
-def _against_rivals(
-    measure: Callable[..., tuple[WindowDelays, RobustLine]],
-    rough: "_RoughShift",
-    rivals: list[float],
-) -> "_RoughShift":
+def _against_rivals(pair: "_Pair", rough: "_RoughShift", rivals: list[float]) -> "_RoughShift":
     """Refuse a shift if the windows agree on another too, to the millisecond."""
     for rival in rivals:
         if not np.isfinite(rival) or abs(rival - rough.shift) < _COARSE_ERROR_SECONDS:
             continue
-        _, line = measure(replace(rough, shift=rival), count=_SCANNED_WINDOWS)
+        other = replace(rough, shift=rival)
+        _, line = _measure(pair, other, count=_SCANNED_WINDOWS)
         agreeing = int(line.agreeing.sum())
         if agreeing >= max(LEAST_WINDOWS, LEAST_AGREEMENT * len(line.agreeing)):
             return replace(

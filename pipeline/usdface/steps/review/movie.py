@@ -220,7 +220,8 @@ def _set_up(plan: _Plan, stopped: Callable[[], bool]) -> None:
 
 
 def _work(stretch: _Stretch) -> None:
-    assert _shared is not None
+    if _shared is None:
+        raise RuntimeError("the worker was not set up")
     _draw_stretch(_shared, stretch)
 
 

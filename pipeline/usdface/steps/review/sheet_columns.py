@@ -111,9 +111,8 @@ def compare_shots(spec: SheetSpec, shots: list[Shot], progress: Progress) -> She
     others = [each.performance_file for each in shots[1:]]
     labels = version_labels(others, taken={"baseline", "solve"})
     verdicts = {"solve": judge_solve(signals.evidence)}
-    face = shot.rig.file.resolve(), shot.rig.prim
     for other, label in zip(shots[1:], labels, strict=True):
-        known = truth if (other.rig.file.resolve(), other.rig.prim) == face else None
+        known = truth if _same_face(other, shot) else None
         scores.append(score(label, other, other.weights, known))
         verdicts[label] = judge_solve(ShotMetric(other).evidence(known))
     spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
@@ -154,6 +153,12 @@ def open_shots(spec: SheetSpec) -> list[Shot]:
         )
         for shot in shots
     ]
+
+
+def _same_face(shot: Shot, other: Shot) -> bool:
+    """Whether both shots have the same rig and face."""
+    faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
+    return faces[0] == faces[1]
 
 
 def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenFrame]:
