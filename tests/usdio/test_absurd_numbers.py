@@ -154,6 +154,7 @@ def test_a_sequences_key_that_lies_far_off_the_others(
     ("name", "kind", "value"),
     [
         ("lastFrame", Sdf.ValueTypeNames.Int, -(2**31)),
+        ("lastFrame", Sdf.ValueTypeNames.Int, 10),  # one frame, to which no sequence is fitted
         ("sequence", Sdf.ValueTypeNames.String, "text"),
         ("firstFrame", Sdf.ValueTypeNames.Token, "soon"),
     ],

@@ -202,6 +202,33 @@ def test_the_block_of_the_page_on_tuning_runs(
     assert solved[2] > 1.0, "what was tuned: proposals are half a smile at most"
 
 
+def test_takes_that_spell_their_shapes_otherwise_keep_their_weights(folder: Path) -> None:
+    """Those of the second take were 0, next to proposals of its own weights."""
+    spelled = ("JawOpen", "eye_blink", "tongueOut", "Smile")
+    weights = np.random.default_rng(4).random((120, 4)).astype(np.float32)
+    source = WeightsClip(spelled, weights, 11, Fraction(30))
+    take = Take("other", Fraction(30), 11, source=source)
+    write_take(folder / "other.take.usda", take, provenance=Provenance())
+    takes = (folder / "phone.take.usda", folder / "other.take.usda")
+    notes = execute(select(folder, takes=takes, count=12)).notes
+    references = read_references(folder / "phone.references.usda")
+    assert set(references.takes) == {"phone", "other"}
+    assert references.source is not None
+    np.testing.assert_allclose(references.source[:, :3], references.weights, atol=1e-6)
+    (told,) = [note for note in notes if "phone.take.usda has no such shapes" in note]
+    assert told.startswith("other.take.usda: tongueOut move")
+    retarget = {"source": takes[1], "rig": (folder / "rig.usda",)}
+    execute(RetargetSpec(**retarget, out=(folder / "other.hero.usda",)))
+    free = next(f for f in range(11, 131) if f not in references.frames)
+    path = folder / "phone.references.usda"
+    added = {"performance": folder / "other.hero.usda", "references": path, "out": path}
+    execute(ReferencesAddSpec(**added, frames=str(free)))
+    again = read_references(path)
+    assert again.source is not None
+    np.testing.assert_allclose(again.source[-1, :3], again.weights[-1], atol=1e-6)
+    assert again.source[-1].any()
+
+
 def test_frames_of_a_retargeted_performance_are_added(folder: Path) -> None:
     path, out = folder / "phone.references.usda", folder / "phone.hero.usda"
     execute(select(folder))

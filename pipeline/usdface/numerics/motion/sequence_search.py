@@ -35,7 +35,8 @@ class Matches:
 
 def mean_face_distance(sequence: FloatArray) -> float:
     """Return the distance of a sequence from its mean face."""
-    deviation = np.linalg.norm(sequence - sequence.mean(axis=0), axis=1)
+    moved = sequence - sequence[0]  # exactly 0 if the sequence stands still
+    deviation = np.linalg.norm(moved - moved.mean(axis=0), axis=1)
     return float(deviation.mean() / np.sqrt(sequence.shape[1]))
 
 

@@ -19,6 +19,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.core.trajectories import TRAJECTORY_SECONDS, read_trajectories
 from usdface.model.mapping.motion_space import frames_at, marker_coordinates, motion_of_pairs
 from usdface.model.mapping.performer_face import face_of_references
+from usdface.model.retarget.name_matching import transfer_by_names
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.origin import (
@@ -204,7 +205,7 @@ def captured_markers(
         )
     if old.source is not None:
         source = read_source_motion(take.path)
-        columns = columns_by_name(source.weights, source.names, old.source_names)
+        columns = source.weights @ transfer_by_names(source.names, old.source_names).matrix
         return columns[frames - source.first_frame], np.ones(len(frames), dtype=np.bool_)
     # Not the mapping's space, which differs if the references were selected again since.
     space = take_head_space(take, face_of_references(old))

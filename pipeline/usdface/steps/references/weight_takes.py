@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.text import first_few
+from usdface.model.retarget.name_matching import transfer_by_names
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, check_take_names
@@ -19,6 +20,7 @@ from usdface.steps.inputs.source_motion import (
     SourceMotion,
     read_source_motion,
     source_transfer,
+    unmatched_moving,
 )
 from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_of_pairs
 from usdface.usdio.take.read import TakeReader, read_first_frame
@@ -71,13 +73,20 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
     free = np.flatnonzero(candidate_frames(takes, spec.frames))
     chosen = _far_apart(spec, proposed, already, free)
     rows = np.array(rows_of_pairs(spec.count, kept, chosen), dtype=np.int64)
-    names = motions[0].names
-    source = np.concatenate([columns_by_name(m.weights, m.names, names) for m in motions])
+    names, source = motions[0].names, list[FloatArray]()
+    for path, motion in zip(spec.takes, motions, strict=True):
+        same = transfer_by_names(motion.names, names)
+        source.append(motion.weights @ same.matrix)
+        if lost := unmatched_moving(same, motion):
+            notes.append(
+                f"{path.name}: {first_few(lost)} move, and {spec.takes[0].name} has no such "
+                "shapes: `train-retarget` ignores them; give the take with the most shapes first"
+            )
     references = replace(
         takes.new_references(rig, rows, proposed[rows]),
         emotions=tuple(motions[take].emotion for take, _ in takes.take_rows(rows)),
         source_names=names,
-        source=source[rows],
+        source=np.concatenate(source)[rows],
     )
     return WeightSelection(references, kept, takes, tuple(dict.fromkeys(notes)))
 

@@ -161,7 +161,7 @@ def read_matches(path: Path, *, rate: Fraction) -> tuple[SequenceMatch, ...]:
             prim.GetAttribute(f"face:match:{name}").Get()
             for name in ("sequence", "firstFrame", "lastFrame")
         )
-        if not isinstance(asset, Sdf.AssetPath) or None in (first, last) or last < first:
+        if not isinstance(asset, Sdf.AssetPath) or None in (first, last) or last <= first:
             raise InputError(
                 f"{path} <{prim.GetPath()}>: frames {first}-{last} of {asset!s} are no match of a "
                 "sequence; correct it, or find sequences again"
