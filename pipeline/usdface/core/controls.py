@@ -156,6 +156,8 @@ class Retargeting:
     """`shapes`, `joints`, `attributes`: Of the target."""
     mean_rotations: FloatArray
     """(joints, 4): mean rotations, about which rotations are vectors; w first."""
+    scale_signs: FloatArray
+    """(joints, 3): -1 for the scales of mirrored joints, else 1."""
     rest: FloatArray
     """(k,): coordinates of the control vector at the source's nearest pair to rest."""
     ranges: FloatArray

@@ -318,6 +318,18 @@ def test_controls_of_another_character_are_refused() -> None:
         control_space(pairs.target).encode(shape_controls(SHAPES, np.zeros((1, 3))))
 
 
+@pytest.mark.parametrize("method", ["additive", "hybrid"])
+def test_mirrored_joints_stay_mirrored(method: str) -> None:
+    """A scale of -1 came back as 0.000001, which shrinks what the joint carries to a plane."""
+    pairs = creature_pairs()
+    scales = pairs.target.scales.copy()
+    scales[:, 2] = [-1.0, 1.0, 0.8]
+    scales[:, 2, 0] -= 0.2 * pairs.source[:, 0]
+    pairs = replace(pairs, target=replace(pairs.target, scales=scales))
+    made = retarget(train_retargeting(pairs, method=method), pairs.source)
+    np.testing.assert_allclose(made.scales, scales, atol=1e-2)
+
+
 def test_controls_come_back_from_their_coordinates_whatever_their_size() -> None:
     target = creature_pairs().target
     sizes = np.exp(np.random.default_rng(0).normal(size=target.scales.shape))

@@ -665,6 +665,20 @@ def test_pairs_without_a_side_are_refused(stall: Stall, capsys) -> None:
     assert not Path("x.pairs.usda").exists()
 
 
+def test_a_table_of_the_target_is_matched_by_meaning(stall: Stall, capsys) -> None:
+    """Columns under other names were 0 in all pairs, and nothing was said of them."""
+    rows = [f"{n},{a},{b},{c},0" for n, (a, b, c) in enumerate(poses().tolist(), start=1)]
+    table = "\n".join(["frame,jawOpen,EyeBlink,Smile,Hat", *rows])
+    (stall / "t.csv").write_text(table, encoding="utf-8")
+    given = {"source": "human_poses.usda", "target": "t.csv", "source-rig": "human.usda"}
+    given |= {"target-rig": "beast.usda", "out": "t.pairs.usda"}
+    assert usdface("pairs", "import", *(f"--{name}={value}" for name, value in given.items())) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "2 shapes, such as EyeBlink to eyeBlink" in told
+    assert "left out 1 column of t.csv, not on beast.usda: Hat" in told
+    np.testing.assert_allclose(read_pairs(stall / "t.pairs.usda").target.weights, poses())
+
+
 def test_one_pair_and_pairs_all_alike_are_refused(stall: Stall, capsys) -> None:
     write_human_performance(stall / "one.usda", stall.human, poses()[3:4], first=1)
     write_creature_performance(stall / "one_t.usda", stall.beast, creature_acts(poses()[3:4]))

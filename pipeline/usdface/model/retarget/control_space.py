@@ -1,8 +1,8 @@
 """Conversion of controls to coordinates for regression, and checks of expression pairs.
 
 Weights and attributes are used as they are. A joint's rotation becomes the rotation vector relative
-to the mean over the pairs, its scale the logarithm, so that any linear combination is a valid
-rotation and a positive scale.
+to the mean over the pairs, its scale the logarithm of its size, so that any linear combination is a
+valid rotation and a scale of the same sign.
 """
 
 from dataclasses import dataclass
@@ -31,6 +31,8 @@ class ControlSpace:
     attributes: tuple[str, ...]
     mean_rotations: FloatArray
     """(joints, 4): w first."""
+    scale_signs: FloatArray
+    """(joints, 3): -1 for the scales of mirrored joints, else 1."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -47,7 +49,7 @@ class ControlSpace:
         given = (controls.shapes, controls.joints, controls.attributes)
         if given != (self.shapes, self.joints, self.attributes):
             raise ValueError("these controls are not those of the space")
-        scales = np.log(np.maximum(controls.scales, _SMALLEST_SCALE))
+        scales = np.log(np.maximum(self.scale_signs * controls.scales, _SMALLEST_SCALE))
         vectors = rotation_vectors(controls.rotations, self.mean_rotations)
         joints = np.concatenate([controls.translations, vectors, scales], axis=-1)
         count = len(controls)
@@ -66,7 +68,7 @@ class ControlSpace:
             joints=self.joints,
             translations=joints[..., :3],
             rotations=rotations_at(joints[..., 3:6], self.mean_rotations),
-            scales=np.exp(joints[..., 6:]),
+            scales=self.scale_signs * np.exp(joints[..., 6:]),
             attributes=self.attributes,
             values=coordinates[:, last:],
         )
@@ -75,7 +77,11 @@ class ControlSpace:
 def control_space(controls: Controls) -> ControlSpace:
     """Return the space of some controls, with rotations relative to their mean."""
     return ControlSpace(
-        controls.shapes, controls.joints, controls.attributes, mean_rotation(controls.rotations)
+        controls.shapes,
+        controls.joints,
+        controls.attributes,
+        mean_rotation(controls.rotations),
+        np.where((controls.scales < 0).all(axis=0), -1.0, 1.0),
     )
 
 

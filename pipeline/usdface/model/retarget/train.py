@@ -138,6 +138,7 @@ def train_retargeting(
         joints=examples.space.joints,
         attributes=examples.space.attributes,
         mean_rotations=examples.space.mean_rotations,
+        scale_signs=examples.space.scale_signs,
         rest=examples.target_rest,
         ranges=examples.target_ranges,
         arrays=best.forward
@@ -237,7 +238,13 @@ def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
 
 def space_of(trained: Retargeting) -> ControlSpace:
     """Return the coordinates of a retargeting's controls."""
-    return ControlSpace(trained.shapes, trained.joints, trained.attributes, trained.mean_rotations)
+    return ControlSpace(
+        trained.shapes,
+        trained.joints,
+        trained.attributes,
+        trained.mean_rotations,
+        trained.scale_signs,
+    )
 
 
 def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = None) -> Examples:

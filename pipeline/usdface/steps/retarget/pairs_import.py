@@ -1,6 +1,7 @@
 """Make pairs from the common frames of two animations."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from usdface.model.retarget.control_space import LEAST_WEIGHT, check_pairs, unus
 from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
-from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
 from usdface.usdio.retarget.controls import (
     find_control_attributes,
     read_control_clip,
@@ -40,11 +41,8 @@ def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) ->
         )
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
-    given = read_weight_table(spec.source, unit=spec.weight_unit)
-    table, transfer = given.by_meaning(source_rig.shapes, leave=source_rig.logic.driven)
-    owner = f"on {spec.source_rig}"
-    table.shapes_among(source_rig.shapes, file=spec.source, owner=owner)
-    frames, target = _read_target(spec, target_rig)
+    table, notes = _read_table(spec, spec.source, source_rig)
+    frames, target, target_notes = _read_target(spec, target_rig)
     _check_sides(spec, table.frames, frames)
     progress(0.5, "read")
     order = [frames.index(frame) for frame in table.frames]
@@ -63,8 +61,7 @@ def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) ->
     write_pairs(
         spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
     )
-    known = {*transfer.matched, *source_rig.logic.driven}
-    notes = meaning_notes(transfer) + given.notes(spec.source, known, owner=owner)
+    notes += target_notes
     if len(pairs) > len(frames):
         notes.append("no frame has the source at rest: added a pair of both at rest")
     unused = unused_shapes(pairs)
@@ -94,7 +91,8 @@ def _with_rest(pairs: ExpressionPairs, rig: Rig) -> ExpressionPairs:
     )
 
 
-def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
+def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls, list[str]]:
+    """Return the frames of the target, its controls there, and notes on shapes by meaning."""
     if is_usd_name(spec.target):
         names = find_control_attributes(rig, spec.attributes)
         clip = read_control_clip(spec.target, attributes=names)
@@ -103,13 +101,23 @@ def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
         rig.check_has(shapes, source=spec.target, remedy="give the rig it animates")
         weights = columns_by_name(clip.controls.weights, clip.controls.shapes, shapes)
         controls = replace(clip.controls, shapes=shapes, weights=weights)
-        return list(range(clip.first_frame, clip.last_frame + 1)), controls
+        return list(range(clip.first_frame, clip.last_frame + 1)), controls, []
     if spec.attributes:
         raise InputError(
             f"{spec.target}: attributes are read from USD; give the target as a .usd animation"
         )
-    table = read_weight_table(spec.target, unit=spec.weight_unit)
-    return list(table.frames), shape_controls(rig.shapes, table.columns(rig.shapes))
+    table, notes = _read_table(spec, spec.target, rig)
+    return list(table.frames), shape_controls(rig.shapes, table.columns(rig.shapes)), notes
+
+
+def _read_table(spec: PairsImportSpec, path: Path, rig: Rig) -> tuple[WeightTable, list[str]]:
+    """Return weights by a rig's shapes, matched by meaning, and notes."""
+    given = read_weight_table(path, unit=spec.weight_unit)
+    table, transfer = given.by_meaning(rig.shapes, leave=rig.logic.driven)
+    owner = f"on {rig.file}"
+    table.shapes_among(rig.shapes, file=path, owner=owner)
+    known = {*transfer.matched, *rig.logic.driven}
+    return table, meaning_notes(transfer) + given.notes(path, known, owner=owner)
 
 
 def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[int]) -> None:

@@ -249,11 +249,13 @@ def _insertion(
     target = each.sequence.target
     start = each.first_frame - read.first_frame
     rows = slice(start, start + each.frame_count)
+    rows_of_joints = [space.joints.index(name) for name in target.joints]
     sequence_space = ControlSpace(
         target.shapes,
         target.joints,
         target.attributes,
-        space.mean_rotations[[space.joints.index(name) for name in target.joints]],
+        space.mean_rotations[rows_of_joints],
+        space.scale_signs[rows_of_joints],
     )
     motion = sequence_space.encode(target)
     weights = each.sequence.key_weights[:, None]

@@ -4,6 +4,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 from pxr import Sdf, Usd
 
 from usdface.core.controls import JOINT_WIDTH, Retargeting, RetargetScore
@@ -49,6 +50,7 @@ def write_retargeting(path: Path, trained: Retargeting, *, provenance: Provenanc
             author_uniform(prim, f"face:retargeting:{name}", kind, value)
         fixed = {
             "mean_rotations": trained.mean_rotations,
+            "scale_signs": trained.scale_signs,
             "rest": trained.rest,
             "ranges": trained.ranges,
         }
@@ -73,8 +75,10 @@ def read_retargeting(path: Path) -> Retargeting:
     )
     width = len(shapes) + JOINT_WIDTH * len(joints) + len(attributes)
     arrays = read_arrays(path, prim)
+    arrays.setdefault("scale_signs", np.ones((len(joints), 3)))  # not in earlier versions
     for name, shape in (
         ("mean_rotations", (len(joints), 4)),
+        ("scale_signs", (len(joints), 3)),
         ("rest", (width,)),
         ("ranges", (width, 2)),
         ("fit_source_rest", (len(source),)),
@@ -91,6 +95,7 @@ def read_retargeting(path: Path) -> Retargeting:
         joints=joints,
         attributes=attributes,
         mean_rotations=arrays.pop("mean_rotations"),
+        scale_signs=arrays.pop("scale_signs"),
         rest=arrays.pop("rest"),
         ranges=arrays.pop("ranges"),
         arrays={name.removeprefix("fit_"): array for name, array in arrays.items()},
