@@ -218,18 +218,6 @@ def test_auto_returns_expressions_no_worse_than_any_method(which: str) -> None:
     assert best == pytest.approx(trained.scores[0].cyclic_mm)
 
 
-def test_retargetings_of_earlier_versions_are_read_under_the_names_they_had() -> None:
-    pairs = creature_pairs()
-    trained = train_retargeting(pairs, method="kernel_cca")
-    names = {"source_width": "width", "intercept": "offset"}
-    earlier = {names.get(name, name): each for name, each in trained.arrays.items()}
-    assert {"width", "offset"} <= earlier.keys()
-    np.testing.assert_array_equal(
-        retarget(replace(trained, arrays=earlier), pairs.source).weights,
-        retarget(trained, pairs.source).weights,
-    )
-
-
 def test_the_round_trip_loses_nothing_where_the_target_is_the_source() -> None:
     source = np.concatenate([np.zeros((1, 5)), np.eye(5), np.random.default_rng(0).random((20, 5))])
     names = tuple("abcde")

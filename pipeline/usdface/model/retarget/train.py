@@ -47,9 +47,6 @@ PAIR_ERROR_DIGITS = 9
 """Decimals of errors at the pairs and overshoots; further ones are rounding, which depends on the
 machine."""
 
-_EARLIER_NAMES = {"width": "source_width", "offset": "intercept"}
-"""Current names of kernel CCA's arrays, by their names in earlier versions."""
-
 _LEAST_SPAN = 1e-9
 
 
@@ -173,7 +170,7 @@ def predict_coordinates(
             f"alpha blends the two parts of a hybrid, and this retargeting is {trained.method}; "
             "train with --method hybrid"
         )
-    arrays = {_EARLIER_NAMES.get(name, name): each for name, each in trained.arrays.items()}
+    arrays = trained.arrays
     try:
         inputs = (source - arrays["source_rest"]) * (1 - arrays["unused"])
         moved = _predict(trained.method, arrays, trained.settings, inputs, alpha)
