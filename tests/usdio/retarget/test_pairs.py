@@ -251,6 +251,11 @@ def test_a_sequence_comes_back_with_sides_of_different_length(tmp_path: Path) ->
         read_sequence(tmp_path / "s.usda")
     with pytest.raises(InputError, match="not a sequence"):
         read_sequence(write_human(tmp_path / "human.usda").file)
+    for time in layer.ListTimeSamplesForPath("/Sequence.face:sequence:keyWeight"):
+        layer.SetTimeSample("/Sequence.face:sequence:keyWeight", time, 0.0)
+    layer.Save()
+    with pytest.raises(InputError, match=r"keyWeight>: no key has a weight above 0"):
+        read_sequence(tmp_path / "s.usda")
 
 
 def test_matches_come_back_and_deactivated_ones_do_not(tmp_path: Path) -> None:

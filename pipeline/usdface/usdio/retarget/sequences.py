@@ -88,6 +88,11 @@ def read_sequence(path: Path) -> EmotionalSequence:
     if not np.isfinite(key_weights).all():
         time = times[int(np.argmin(np.isfinite(key_weights)))]
         raise InputError(f"{path} <{KEY_WEIGHT}> time code {time}: is not finite; correct the key")
+    if not (key_weights > 0).any():
+        raise InputError(
+            f"{path} <{KEY_WEIGHT}>: no key has a weight above 0, so the sequence has no effect; "
+            "set some to 1"
+        )
     return EmotionalSequence(
         label=text_of(root, _LABEL),
         source_shapes=source.shapes,
