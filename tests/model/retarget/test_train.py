@@ -194,12 +194,6 @@ def test_a_retargeting_whose_arrays_do_not_fit_is_refused_or_read(method: str) -
     assert refused >= len(trained.arrays)
 
 
-def test_alpha_is_refused_by_what_is_no_hybrid() -> None:
-    trained = train_retargeting(creature_pairs(), method="rbf")
-    with pytest.raises(InputError, match="train with --method hybrid"):
-        retarget(trained, human_moves(5), alpha=np.ones(5))
-
-
 @pytest.mark.parametrize("which", ["creature", "linear"])
 def test_auto_returns_expressions_no_worse_than_any_method(which: str) -> None:
     pairs = creature_pairs() if which == "creature" else linear_pairs()[0]

@@ -141,30 +141,6 @@ def test_eased_weights_are_symmetric_and_full_in_the_middle():
     assert 0 < weights[0] < 1.0
 
 
-@pytest.mark.parametrize(
-    ("start", "count", "weight", "message"),
-    [
-        (90, 20, 1.0, "does not fit"),
-        (-1, 20, 1.0, "does not fit"),
-        (10, 200, 1.0, "does not fit"),
-        (10, 5, -1.0, "none negative"),
-        (10, 5, 0.0, "has no effect"),
-        (10, 5, math.inf, "not finite"),
-        (10, 0, 1.0, "keys"),
-    ],
-)
-def test_what_cannot_be_put_in_is_refused(start: int, count: int, weight: float, message: str):
-    wrong = Insertion(start, np.zeros((count, CONTROLS)), np.full(count, weight))
-    with pytest.raises(ValueError, match=message):
-        warp_motion(np.zeros((100, CONTROLS)), [wrong])
-
-
-def test_overlapping_sequences_are_refused_by_their_frames():
-    rng = np.random.default_rng(0)
-    with pytest.raises(ValueError, match="10-29 and 29-33 overlap"):
-        warp_motion(np.zeros((100, CONTROLS)), [insertion(rng, 29, 5), insertion(rng, 10, 20)])
-
-
 def test_nothing_that_holds_is_refused():
     with pytest.raises(ValueError, match="undetermined"):
         solve_warp(np.zeros((4, 1)), np.zeros((4, 1)), np.zeros(4))

@@ -121,21 +121,6 @@ def test_held_distance_is_that_of_the_best_still_face_in_the_mean():
     )
 
 
-@pytest.mark.parametrize(
-    ("frames", "channels", "threshold", "message"),
-    [
-        (500, CHANNELS, 0.1, "500 frames in a motion of 100"),
-        (0, CHANNELS, 0.1, "0 frames"),
-        (50, 3, 0.1, "differ in channels"),
-        (50, CHANNELS, -1.0, "at least 0"),
-        (50, CHANNELS, float("nan"), "at least 0"),
-    ],
-)
-def test_what_cannot_be_searched_is_refused(frames, channels, threshold, message):
-    with pytest.raises(ValueError, match=message):
-        starts_within(np.zeros((100, CHANNELS)), np.zeros((frames, channels)), threshold=threshold)
-
-
 @pytest.mark.parametrize("weight", [1.0, 0.1, 0.3])  # means of 0.1 are rounded
 def test_a_sequence_that_stands_still_is_like_any_face_at_rest(weight: float):
     with pytest.raises(ValueError, match="stands still"):

@@ -56,8 +56,6 @@ def test_impossible_requests_say_why(design: Callable) -> None:
     features = cloud(10)
     with pytest.raises(ValueError, match="cannot choose 11 of 10"):
         design(features, 11)
-    with pytest.raises(ValueError, match="already names rows 3 to 10 of 10"):
-        design(features, 1, already=np.array([3, 10]))
     features[4, 1] = np.nan
     with pytest.raises(ValueError, match="row 4 are not finite"):
         design(features, 1)

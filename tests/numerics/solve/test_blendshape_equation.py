@@ -133,20 +133,6 @@ def test_rank_tells_that_shapes_are_alike(deltas):
     assert rank_of(twins) == 12
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"ranges": [[0, 1]]}, "ranges must be"),
-        ({"ridge": -1.0}, "must not be negative"),
-        ({"noise_mm": -1.0}, "must not be negative"),
-        ({"visible": np.ones((2, 2), bool)}, "visible must be"),
-    ],
-)
-def test_refuses_options_that_do_not_fit(deltas, options, message):
-    with pytest.raises(ValueError, match=message):
-        solve_weights(deltas, np.zeros((3, 30, 3)), **options)
-
-
 def test_names_the_frame_that_is_not_finite(deltas):
     motion = np.zeros((9, 30, 3))
     motion[4, 2] = np.nan

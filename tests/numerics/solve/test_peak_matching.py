@@ -47,12 +47,6 @@ def test_a_shape_the_take_does_not_show_changes_nothing(take):
     np.testing.assert_array_equal(match_peaks(deltas, still, blinks), 1)
 
 
-def test_a_shape_that_does_not_exist_is_refused(take):
-    deltas, motion, _, _ = take
-    with pytest.raises(ValueError, match="there is no shape 99"):
-        match_peaks(deltas, motion, [99])
-
-
 def lid_and_brow() -> tuple[np.ndarray, np.ndarray]:
     """A blink and a brow; the last marker goes twice as far with the brow as with the blink."""
     deltas = np.zeros((2, 21, 3))

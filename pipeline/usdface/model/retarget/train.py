@@ -165,11 +165,6 @@ def predict_coordinates(
     alpha : (frames,) float array, optional
         Share of the multiquadric at each frame [0-1]; for a hybrid only.
     """
-    if alpha is not None and trained.method != "hybrid":
-        raise InputError(
-            f"alpha blends the two parts of a hybrid, and this retargeting is {trained.method}; "
-            "train with --method hybrid"
-        )
     arrays = trained.arrays
     try:
         inputs = (source - arrays["source_rest"]) * (1 - arrays["unused"])

@@ -11,7 +11,6 @@ only windows around the sequences are solved.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -69,14 +68,6 @@ def warp_motion(
         no constraints.
     """
     ordered = sorted(insertions, key=lambda each: each.start)
-    for insertion in ordered:
-        _check(insertion, motion.shape)
-    for one, other in pairwise(ordered):
-        if other.start < one.stop:
-            raise ValueError(
-                f"sequences at frames {one.start}-{one.stop - 1} and {other.start}-"
-                f"{other.stop - 1} overlap; leave one out"
-            )
     warped = motion.copy()
     for window in _windows(ordered, len(motion), blend + reach_frames(keep)):
         part = slice(window.first, window.stop)
@@ -169,12 +160,10 @@ def ease_weights(count: int, weight: float, *, ease: int) -> FloatArray:
 
 
 def stretch_motion(motion: FloatArray, frames: int) -> FloatArray:
-    """Resample a motion (n, controls) to another number of frames, from its first to its last.
+    """Resample a motion (n, controls) to other `frames`, from its first to its last; at least 2.
 
     By monotone cubics (Fritsch and Carlson 1980), which do not overshoot.
     """
-    if len(motion) < 2 or frames < 2:
-        raise ValueError(f"cannot stretch {len(motion)} frames to {frames}; both need at least 2")
     if frames == len(motion):
         return motion.copy()
     old = np.linspace(0.0, 1.0, len(motion))
@@ -191,19 +180,3 @@ def _windows(ordered: Sequence[Insertion], frames: int, margin: int) -> list[_Wi
         else:
             windows.append(_Window(first, stop, (insertion,)))
     return windows
-
-
-def _check(insertion: Insertion, shape: tuple[int, ...]) -> None:
-    frames, controls = shape
-    keys, weights = insertion.keys, insertion.weights
-    where = f"sequence of {len(keys)} keys at frame {insertion.start}"
-    if keys.ndim != 2 or keys.shape[1] != controls or not len(keys):
-        raise ValueError(f"{where}: {keys.shape} keys for {controls} controls")
-    if insertion.start < 0 or insertion.stop > frames:
-        raise ValueError(f"{where}: does not fit into {frames} frames")
-    if weights.shape != (len(keys),) or not (weights >= 0).all():
-        raise ValueError(f"{where}: needs one weight per key, none negative")
-    if not (np.isfinite(keys).all() and np.isfinite(weights).all()):
-        raise ValueError(f"{where}: keys or weights hold values that are not finite")
-    if not weights.any():
-        raise ValueError(f"{where}: every weight is 0, so it has no effect")

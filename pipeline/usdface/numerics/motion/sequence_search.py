@@ -61,12 +61,6 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
     threshold : float
         See `Matches.distances`.
     """
-    if motion.ndim != 2 or sequence.ndim != 2 or motion.shape[1] != sequence.shape[1]:
-        raise ValueError(f"{motion.shape} motion and {sequence.shape} sequence differ in channels")
-    if not 0 < len(sequence) <= len(motion):
-        raise ValueError(f"a sequence of {len(sequence)} frames in a motion of {len(motion)}")
-    if not threshold >= 0:
-        raise ValueError(f"the threshold must be at least 0, got {threshold}")
     distances = _all_distances(motion, sequence)
     starts = np.flatnonzero(distances <= threshold)
     return Matches(starts, distances[starts], threshold)
@@ -87,7 +81,7 @@ def find_sequence(
     Raises
     ------
     ValueError
-        As `starts_within`, and if the sequence has no motion.
+        If the sequence has no motion.
     """
     if threshold is None:
         threshold = _MATCH_SHARE * mean_face_distance(sequence)

@@ -48,8 +48,6 @@ def blocked_folds(
         Largest distance of neighbours [frames].
     """
     numbers = np.asarray(frames, dtype=np.int64)
-    if len(numbers) != len(takes):
-        raise ValueError(f"{len(numbers)} frames but {len(takes)} take names")
     if len(numbers) < 2 or folds < 2:
         raise ValueError(f"cannot make {folds} folds of {len(numbers)} pairs")
     folds = min(folds, len(numbers))

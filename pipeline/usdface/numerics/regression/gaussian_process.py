@@ -103,7 +103,7 @@ def leave_one_out_errors(
     variances : (D,) float array
         Of the features over all frames; positive, descending.
     """
-    _check(features, outputs, variances, choices)
+    check_examples(features, outputs)
     out = np.empty((len(choices), len(NOISES), outputs.shape[1]))
     scalings = {(choice.dimensions, choice.power) for choice in choices}
     scaled = {each: _Scaled(features, variances, *each) for each in scalings}
@@ -148,7 +148,7 @@ def fit_gaussian_process(
         See `leave_one_out_errors`.
     noise : (s,) float array
     """
-    _check(features, outputs, variances, (choice,))
+    check_examples(features, outputs)
     scaled = _Scaled(features, variances, choice.dimensions, choice.power)
     covariance = scaled.covariance(choice)
     groups = _similar_pairs(scaled.rows)
@@ -221,22 +221,3 @@ class _Scaled:
         if choice.radial:
             out += choice.radial * np.exp(self.exponent(choice) * self._distance2)
         return out
-
-
-def _check(
-    features: FloatArray,
-    outputs: FloatArray,
-    variances: FloatArray,
-    choices: Sequence[ProcessSettings],
-) -> None:
-    check_examples(features, outputs)
-    if len(features) < 2:
-        raise ValueError(f"a process needs at least 2 pairs, got {len(features)}")
-    if variances.shape != (features.shape[1],) or not (variances > 0).all():
-        raise ValueError(f"variances must be {features.shape[1]} positive numbers")
-    for choice in choices:
-        if not 1 <= choice.dimensions <= features.shape[1]:
-            raise ValueError(
-                f"a choice uses {choice.dimensions} of {features.shape[1]} features; limit it "
-                "with usable_choices"
-            )

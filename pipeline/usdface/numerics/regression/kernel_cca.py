@@ -89,7 +89,7 @@ def fit_kernel_cca(
     source_width, target_width : float
         Standard deviations of the Gaussian kernels; see `median_width`.
     kappa : float
-        Penalty per pair; larger is smoother.
+        Penalty per pair, positive: without one everything correlates. Larger is smoother.
     components : int, optional
         Number of directions; by default all that correlate.
     lines : {'penalised', 'published'}
@@ -97,14 +97,6 @@ def fit_kernel_cca(
     """
     S, T = np.asarray(sources, np.float64), np.asarray(targets, np.float64)
     check_examples(S, T)
-    if not kappa > 0:
-        raise ValueError(
-            f"kappa must be positive, got {kappa}: without a penalty everything correlates"
-        )
-    if not (source_width > 0 and target_width > 0):
-        raise ValueError(f"widths must be positive, got {source_width} and {target_width}")
-    if components is not None and components < 1:
-        raise ValueError(f"components must be at least 1, got {components}")
     penalty = kappa * len(S)
     kernel = _kernel(S, S, source_width)
     values_a, vectors_a = _centred_spectrum(kernel)

@@ -215,15 +215,11 @@ def fit_rbf_ridge(
         Penalty of squared coefficients; by default by `choose_ridge`.
     """
     check_examples(centres, outputs)
-    if widths.shape != (len(centres),) or not (widths > 0).all():
-        raise ValueError(f"widths must be {len(centres)} positive numbers")
     rotated = rotate(gaussian_design(centres, centres, widths), outputs)
     if ridge is None:
         chosen = choose_ridge(rotated)
     else:
         chosen = np.broadcast_to(np.asarray(ridge, dtype=float), (outputs.shape[1],)).copy()
-        if not (chosen > 0).all():
-            raise ValueError(f"ridge must be positive, got {chosen.min()}")
     gain = rotated.singular[:, None] / (rotated.singular[:, None] ** 2 + chosen)
     unique, index = np.unique(chosen, return_inverse=True)
     scores = gcv_scores(rotated, unique)[index, np.arange(len(chosen))]

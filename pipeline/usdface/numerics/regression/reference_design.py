@@ -294,8 +294,6 @@ def _known_rows(features: FloatArray, count: int, already: IntArray | None) -> I
         bad = int(np.flatnonzero(~np.isfinite(features).all(axis=1))[0])
         raise ValueError(f"features of row {bad} are not finite")
     start = np.zeros(0, dtype=np.int64) if already is None else np.unique(already)
-    if len(start) and not (0 <= start[0] and start[-1] < len(features)):
-        raise ValueError(f"already names rows {start[0]} to {start[-1]} of {len(features)}")
     free = len(features) - len(start)
     if not 0 <= count <= free:
         raise ValueError(f"cannot choose {count} of {free} frames that are free")

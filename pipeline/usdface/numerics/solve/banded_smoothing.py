@@ -123,7 +123,8 @@ def smooth_within_bounds(
         Weight of each frame, positive.
     lower, upper : (n,) float arrays
     """
-    _check(tracks, penalty, trust)
+    if not np.isfinite(tracks).all():
+        raise ValueError("tracks hold values that are not finite")
     if len(tracks) < 3 or penalty == 0:
         return np.asarray(np.clip(tracks, lower, upper))
     bands = _normal_bands(len(tracks), penalty, trust)
@@ -135,15 +136,6 @@ def smooth_within_bounds(
             bands, right[:, column], out[:, column], float(lower[column]), float(upper[column])
         )
     return out
-
-
-def _check(tracks: FloatArray, penalty: float, trust: FloatArray) -> None:
-    if not np.isfinite(tracks).all():
-        raise ValueError("tracks hold values that are not finite")
-    if trust.shape != (len(tracks),) or not (trust > 0).all():
-        raise ValueError(f"trust must be {len(tracks)} positive numbers")
-    if not penalty >= 0:
-        raise ValueError(f"penalty must not be negative, got {penalty}")
 
 
 def _solve(bands: FloatArray, right: FloatArray) -> FloatArray:

@@ -102,8 +102,6 @@ def solve_weights(
         Shapes that share one weight.
     """
     problem = _checked(deltas, motion, visible, marker_trust)
-    if not ridge >= 0 or not noise_mm >= 0:
-        raise ValueError(f"ridge and noise_mm must not be negative, got {ridge} and {noise_mm}")
     if problem.rank() < problem.shape_count:  # the solution is not unique
         energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
         ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
@@ -144,8 +142,6 @@ class _Variables:
 def _variables(
     limits: FloatArray, shapes: int, tied: Sequence[Sequence[int]], *, split: bool
 ) -> _Variables:
-    if limits.shape != (shapes, 2):
-        raise ValueError(f"ranges must be ({shapes}, 2), got {limits.shape}")
     low, high = limits.T
     leader = np.arange(shapes)
     for group in tied:
@@ -319,11 +315,6 @@ def _checked(
     D, m = np.asarray(deltas, float), np.asarray(motion, float)
     seen = np.ones(m.shape[:2], bool) if visible is None else np.asarray(visible, bool)
     share = np.ones(m.shape[1]) if trust is None else np.asarray(trust, float)
-    if seen.shape != m.shape[:2] or share.shape != m.shape[1:2] or not (share >= 0).all():
-        raise ValueError(
-            f"visible must be {m.shape[:2]}, got {seen.shape}; marker_trust must be "
-            f"{m.shape[1:2]} and not negative, got {share.shape}"
-        )
     m = np.where(seen[:, :, None], m, 0.0)
     if not np.isfinite(m).all():
         frame = int(np.flatnonzero(~np.isfinite(m).all(axis=(1, 2)))[0])

@@ -68,14 +68,8 @@ def solve_bounded_least_squares(
     Boyd et al. (2011), Foundations and Trends in Machine Learning 3(1), 1-122: alternations.
     """
     A, b = np.asarray(matrix, float), np.asarray(targets, float)
-    if A.ndim != 2 or b.ndim != 2 or A.shape[0] != b.shape[1]:
-        raise ValueError(
-            f"matrix (rows, n) and targets (frames, rows) must share rows; got {A.shape}, {b.shape}"
-        )
     n = A.shape[1]
     penalty = np.broadcast_to(np.asarray(ridge, float), n)
-    if not (penalty >= 0).all():
-        raise ValueError(f"ridge must not be negative, got {penalty.min()}")
     linear = b @ A - np.asarray(cost, float)
     lo, hi = (np.array(np.broadcast_to(np.asarray(v, float), n)) for v in (lower, upper))
     _check(A, linear, lo, hi)

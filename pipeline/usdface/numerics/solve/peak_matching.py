@@ -162,9 +162,6 @@ def match_peaks(
         As in `solve_weights`.
     """
     D, m = np.asarray(deltas, float), np.asarray(motion, float)
-    wrong = [shape for shape in shapes if not 0 <= shape < len(D)]
-    if wrong:
-        raise ValueError(f"there is no shape {wrong[0]}; there are {len(D)}")
     limits = np.tile([0.0, 1.0], (len(D), 1)) if ranges is None else np.asarray(ranges, float)
     reach = np.linalg.norm(D, axis=2)
     share = (reach / np.maximum(reach.max(axis=0), 1e-9)) ** 2

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from usdface.capture.face_landmarks import LANDMARK_ROWS
 from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.deformer import Deformer
-from usdface.core.errors import InputError
 from usdface.model.placement.label_hints import LabelHint, label_hint
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.model.selection.baseline import BlendshapeEquation
@@ -91,8 +90,6 @@ def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]
     `positions`: (markers, 3), at rest [mm]; a marker without one is in no row.
     """
     at = np.asarray(positions, np.float64)
-    if at.shape != (len(labels), 3):
-        raise InputError(f"{len(labels)} labels with positions of shape {at.shape}; give one each")
     hints = [label_hint(label) for label in labels]
     rows = []
     for row, corners in _CORNERS.items():
