@@ -77,6 +77,12 @@ def test_jitter_does_not_see_a_gap_between_frames_as_a_jump() -> None:
     assert np.isnan(relative_jitter(truth[sparse], truth[sparse], sparse))
 
 
+def test_jitter_over_a_truth_that_stands_still_is_not_known() -> None:
+    """It was 100 million times that of the keys."""
+    noise = np.random.default_rng(0).normal(0, 0.1, (40, 3))
+    assert np.isnan(relative_jitter(noise, np.full((40, 3), 0.3), np.arange(40)))
+
+
 def test_a_mouth_that_does_not_close_is_told_where_it_should() -> None:
     truth = np.linspace(0, 1, 101)[:, None]
     solved = np.maximum(truth, 0.2)  # never closes further

@@ -127,7 +127,8 @@ CLOSED_MM = 1.0
 """Largest true distance of closed lips, unless they are farther apart at rest."""
 
 _QUANTILE_95 = 0.95
-_LEAST_ROUGHNESS = 1e-9
+_LEAST_ROUGHNESS = 1e-6
+"""Third difference below which weights stand still: the rounding of single precision."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,7 @@ def relative_jitter(solved: FloatArray, truth: FloatArray, frames: IntArray) -> 
     """Return the roughness of the solve over that of the truth.
 
     Roughness is the mean absolute third difference, over runs of consecutive frames. Returns NaN
-    without four consecutive frames.
+    without four consecutive frames, or if the truth stands still.
 
     Parameters
     ----------
@@ -254,4 +255,4 @@ def relative_jitter(solved: FloatArray, truth: FloatArray, frames: IntArray) -> 
     of_solve, of_truth = (
         float(np.abs(np.diff(rows, 3, axis=0))[consecutive].mean()) for rows in (solved, truth)
     )
-    return of_solve / max(of_truth, _LEAST_ROUGHNESS)
+    return of_solve / of_truth if of_truth > _LEAST_ROUGHNESS else float("nan")
