@@ -49,11 +49,6 @@ def test_short_clips_keep_all_they_have(count: int) -> None:
     np.testing.assert_array_equal(reduce_keys(CURVES[:count], 0.5), np.arange(count))
 
 
-def test_a_tolerance_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="must be positive"):
-        reduce_keys(CURVES, 0.0)
-
-
 def interpolated(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Every frame from the sparse rows, by numpy's own interpolation."""
     frames = np.arange(len(values))

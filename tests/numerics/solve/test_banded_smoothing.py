@@ -77,8 +77,6 @@ def test_what_cannot_be_smoothed_is_refused() -> None:
         smooth_within_bounds(ones * np.nan, penalty=1.0, trust=np.ones(5), **bounds)
     with pytest.raises(ValueError, match="half the rate of 60"):
         cutoff_penalty(40.0, 60.0)
-    with pytest.raises(ValueError, match="lag must not be negative"):
-        FixedLagSmoother(1, penalty=1.0, lag=-1)
 
 
 @pytest.mark.parametrize("cutoff", [2.0, 5.0, 20.0])

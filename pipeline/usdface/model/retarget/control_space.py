@@ -45,10 +45,7 @@ class ControlSpace:
         )
 
     def encode(self, controls: Controls) -> FloatArray:
-        """Return coordinates: (n, width) float array."""
-        given = (controls.shapes, controls.joints, controls.attributes)
-        if given != (self.shapes, self.joints, self.attributes):
-            raise ValueError("these controls are not those of the space")
+        """Return coordinates, (n, width), of controls with the names of the space."""
         scales = np.log(np.maximum(self.scale_signs * controls.scales, _SMALLEST_SCALE))
         vectors = rotation_vectors(controls.rotations, self.mean_rotations)
         joints = np.concatenate([controls.translations, vectors, scales], axis=-1)

@@ -124,8 +124,6 @@ def reduce_keys(
     Ramer (1972), Computer Graphics and Image Processing 1(3); Douglas and Peucker (1973),
     Cartographica 10(2).
     """
-    if not tolerance > 0:
-        raise ValueError(f"tolerance must be positive, got {tolerance}")
     if deviation is None:
 
         def deviation(part: slice, lines: FloatArray) -> FloatArray:

@@ -69,8 +69,6 @@ def plane_of_pairs(
     rounds : int
         Of reweighting.
     """
-    if len(pairs) < FEWEST_PAIRS:
-        raise ValueError(f"{len(pairs)} mirrored pairs; a plane needs {FEWEST_PAIRS}")
     left, right, on_plane = points[pairs[:, 0]], points[pairs[:, 1]], points[middle]
     across = left - right
     centres = np.concatenate([(left + right) / 2, on_plane])

@@ -235,8 +235,6 @@ class FixedLagSmoother:
     """
 
     def __init__(self, tracks: int, *, penalty: float, lag: int) -> None:
-        if lag < 0 or not penalty > 0:
-            raise ValueError(f"lag must not be negative and penalty positive, got {lag}, {penalty}")
         size = max(lag + 1, 2)
         self.lag = lag
         self._move = np.eye(size, k=-1)
