@@ -270,19 +270,21 @@ def write_extended(
     provenance: Provenance,
     progress: Progress,
 ) -> tuple[Path, ...]:
-    """Write extended references, keeping tuned pairs and proposals of existing ones.
+    """Write extended references, keeping tuned pairs; draw the coverage again; return the files.
 
-    Draws the coverage again; returns the files.
+    In place, the proposals of existing pairs are kept as well. In another file their weights are
+    the proposals, so that what is tuned there is known when it is written again.
     """
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))
     with tuning_lock(spec.out):
         notes += _left_out(spec.out, references)
-        tuned = _tuned_by_hand(spec, references, notes)
-        if (before := _with_proposals(spec.references)) is not None:
-            new = references.weights[len(before[1]) :]
-            references = replace(references, weights=np.concatenate([before[1], new]))
+        there = _replaced(spec.out)
+        tuned = _tuned_by_hand(spec, references, there, notes)
+        if there is not None and spec.out.resolve() == spec.references.resolve():
+            proposals = np.concatenate([there[1], references.weights[len(there[1]) :]])
+            references = replace(references, weights=proposals)
         write_references(
             spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
         )
@@ -294,6 +296,7 @@ def write_extended(
 def _tuned_by_hand(
     spec: ReferencesFromEditsSpec | ReferencesAddSpec,
     references: References,
+    there: tuple[References, FloatArray] | None,
     notes: list[str],
 ) -> list[TunedPair]:
     """Return the tuned pairs; weights tuned by hand in the replaced asset take precedence.
@@ -306,7 +309,6 @@ def _tuned_by_hand(
         if references.weights_of(each.pair).items() <= each.weights.items()
     }
     by_hand: dict[tuple[str, int], TunedPair] = {}
-    there = _with_proposals(spec.out)
     if there is not None and spec.out.resolve() != spec.references.resolve():
         differs = np.abs(there[0].weights - there[1]).max(axis=1, initial=0.0) > SAME_WEIGHT
         pairs = [_tuned_pair(there[0], pair) for pair in np.flatnonzero(differs).tolist()]
@@ -334,11 +336,11 @@ def _tuned_pair(references: References, pair: int) -> TunedPair:
     )
 
 
-def _with_proposals(path: Path) -> tuple[References, FloatArray] | None:
-    """Return an asset and its proposals; None if missing or damaged."""
+def _replaced(out: Path) -> tuple[References, FloatArray] | None:
+    """Return the asset that is replaced, and its proposals; None if missing or damaged."""
     with suppress(InputError):
-        existing = read_references(path)
-        return existing, read_proposals(proposed_path(path), existing)
+        existing = read_references(out)
+        return existing, read_proposals(proposed_path(out), existing)
     return None
 
 
