@@ -74,7 +74,7 @@ def test_files_are_found_in_one_order_whatever_the_hashes_of_names(shot: Shot) -
             capture_output=True,
             check=True,
         ).stdout
-        for seed in range(4)
+        for seed in range(2)
     }
     assert len(orders) == 1
 

@@ -274,6 +274,7 @@ def test_a_page_of_any_form_first_shows_the_whole_head(tmp_path: Path, browser: 
     assert tall[1] / tall[3] == pytest.approx(wide[1] / wide[3], rel=0.01), "by its height"
 
 
+@pytest.mark.slow
 def test_what_lies_behind_the_skin_does_not_show_through_as_specks(
     tmp_path: Path, browser: Any
 ) -> None:

@@ -88,7 +88,10 @@ def test_the_critical_step_is_that_of_errors_that_markers_share() -> None:
     assert 0 < (np.abs(found[:, 0]) > found[:, 1]).mean() <= 0.01
 
 
-@pytest.mark.parametrize("late_frames", [-4, -1, 2, 7])
+@pytest.mark.parametrize(
+    "late_frames",
+    [pytest.param(-4, marks=pytest.mark.slow), -1, pytest.param(2, marks=pytest.mark.slow), 7],
+)
 def test_the_delay_is_found_and_the_mapping_is_that_of_keys_in_sync(late_frames: int) -> None:
     mapping = trained(keyed(FIRST, late_frames))
     assert delay_frames(mapping) == pytest.approx({"take": late_frames}, abs=0.6)

@@ -336,7 +336,11 @@ def recorded_placement(shared_data, take: str, head: str) -> MarkerPlacement:
 
 
 @pytest.mark.parametrize(
-    ("head", "take"), [("facecap_head", "CheeksMoCap"), ("ict_face", "EyebrowsMoCap")]
+    ("head", "take"),
+    [
+        pytest.param("facecap_head", "CheeksMoCap", marks=pytest.mark.slow),
+        ("ict_face", "EyebrowsMoCap"),
+    ],
 )
 def test_a_recorded_performer_sits_where_he_does_if_the_jaw_is_a_joint(
     shared_data, head: str, take: str

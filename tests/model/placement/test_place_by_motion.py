@@ -76,6 +76,7 @@ def test_finds_known_markers_without_landmarks(face, skin, actor, placed):
     assert not placed.by_labels
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("two_pose_rounds", "few_starts")
 def test_a_head_band_that_slips_does_not_move_the_markers(face, skin, actor, placed):
     rng = np.random.default_rng(1)

@@ -18,6 +18,8 @@ from usdface.numerics.rigid.stabilization import stabilize
 from usdface.numerics.solve.blendshape_equation import solve_least_squares, solve_weights
 from usdface.usdio.rig.read import read_rig
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -132,10 +134,8 @@ def test_bounded_proposals_beat_plain_least_squares(crossing):
     assert after < 0.75 * before
 
 
-@pytest.mark.parametrize("rig", [pytest.param("ict_face", marks=pytest.mark.slow), "facecap_head"])
-def test_a_recorded_performer_without_labels_lands_on_the_right_parts(request, shared_data, rig):
-    if rig == "facecap_head":  # the slow one removes errors of poses as well
-        request.getfixturevalue("placed_once")
+@pytest.mark.parametrize("rig", ["ict_face", "facecap_head"])
+def test_a_recorded_performer_without_labels_lands_on_the_right_parts(shared_data, rig):
     face = read_surface(shared_data / "rigs" / f"{rig}.usdc")
     positions, visible, labels = read_c3d(shared_data / "markers_animface" / "CheeksMoCap.c3d")
     forehead = ["NoseTop", "Leye_Inside", "Reye_Inside", "Eyebrow_Center", "ForeHead_M"]

@@ -13,7 +13,9 @@ from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
 
-@pytest.mark.parametrize(("mm", "max_gap"), [(1000.0, None), (60.0, 5)])
+@pytest.mark.parametrize(
+    ("mm", "max_gap"), [pytest.param(1000.0, None, marks=pytest.mark.slow), (60.0, 5)]
+)
 def test_a_marker_that_falls_off_is_named_with_its_frames(
     shot: Shot, mm: float, max_gap: int | None
 ) -> None:

@@ -52,6 +52,7 @@ def said(track: PhoneTrack) -> list[Span]:
     return [span for span in track.phones if viseme_of(span.label) != "pau"]
 
 
+@pytest.mark.slow
 def test_phones_lie_where_another_aligner_found_them(speech: Path, tmp_path: Path) -> None:
     out = tmp_path / "x.TextGrid"
     report = execute(

@@ -50,7 +50,7 @@ def write_still(path: Path, markers: int, *, noise_mm: float = 0.0, turning: boo
 
 @pytest.mark.parametrize(
     ("markers", "noise_mm", "turning"),
-    [(400, 0.0, False), (60, 0.1, False), (60, 0.0, True)],
+    [pytest.param(400, 0.0, False, marks=pytest.mark.slow), (60, 0.1, False), (60, 0.0, True)],
     ids=["400 markers", "with noise", "on a head that turns"],
 )
 def test_a_still_face_is_cleaned_with_words_and_its_pairs_are_refused(

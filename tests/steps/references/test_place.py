@@ -238,6 +238,7 @@ def test_a_rig_that_stands_on_its_head_is_refused_and_nothing_is_written(shot: S
     assert not (shot / "fallen.placement.usda").exists()
 
 
+@pytest.mark.slow
 def test_takes_stabilised_by_skin_are_aligned_by_markers_that_the_rig_moves_less(
     shot: Shot,
 ) -> None:

@@ -139,6 +139,7 @@ def test_proposals_of_a_mapping_are_nearer_the_truth_than_the_geometrys(shot: Sh
     assert error[1] < 0.7 * error[0]
 
 
+@pytest.mark.slow
 def test_the_solve_of_one_take_keys_references_of_another_of_the_same_performance(
     shot: Shot,
 ) -> None:
@@ -346,6 +347,7 @@ def test_the_sheet_shows_pairs_as_they_are_now(shot: Shot, monkeypatch: pytest.M
         assert read_image_metadata(shot / name)["step"] == "references-sheet"
 
 
+@pytest.mark.slow
 def test_further_pages_of_pairs_replace_their_own_alone(shot: Shot) -> None:
     given = {"references": shot / "hero.references.usda", "out": shot / "x.png", "tile": 64}
     sheet = ReferenceSheetSpec(**given, pairs="1-7", quality="draft")

@@ -228,6 +228,7 @@ def test_joints_that_an_animator_keyed_are_drawn_without_a_take(tmp_path: Path) 
     assert usdface("sheet", out, "--tile", 64, "--rows", 2, "--out", tmp_path / "s.png") == 0
 
 
+@pytest.mark.slow
 def test_sheet_movie_and_report_show_the_head_turn(tmp_path: Path, browser: Any) -> None:
     rig = write_character(tmp_path / "hero.usda")
     out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")

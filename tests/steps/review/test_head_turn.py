@@ -162,6 +162,7 @@ def test_markers_of_the_report_turn_with_the_head(shot: Shot, browser: Any) -> N
         assert np.nanmax(np.abs(turned - still)) > 5
 
 
+@pytest.mark.slow
 def test_a_page_with_moving_joints_says_that_markers_hold_the_head_still(
     shot: Shot, browser: Any
 ) -> None:

@@ -104,7 +104,10 @@ def check_request(url: str, faults: list[str]) -> None:
 
 @pytest.mark.parametrize(
     ("rate", "offset", "drift"),
-    [(Fraction(25), -EARLY_PICTURES / 25, 0.0), (Fraction(30000, 1001), -0.411, 900.0)],
+    [
+        pytest.param(Fraction(25), -EARLY_PICTURES / 25, 0.0, marks=pytest.mark.slow),
+        (Fraction(30000, 1001), -0.411, 900.0),
+    ],
 )
 def test_each_seek_shows_the_sheets_picture_and_the_weights_of_its_frame(
     shot: Shot, rate: Fraction, offset: float, drift: float, browser: Any
@@ -242,6 +245,7 @@ def test_the_page_and_evaluate_tell_one_error_of_the_weights(
     assert f"<td>{error:.3f}</td>" in (shot / "shot.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_page_prints_without_one_thing_over_another(shot: Shot, browser: Any) -> None:
     execute(spec_of(shot, worst=12))
     page = browser.new_page(viewport={"width": 794, "height": 1123})  # A4 at 96 dots an inch

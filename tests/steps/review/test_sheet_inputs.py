@@ -50,6 +50,7 @@ def test_a_video_whose_picture_begins_after_time_0_has_its_aspect(
         assert drawn.video_aspect == 9 / 16
 
 
+@pytest.mark.slow
 def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> None:
     made: list[weakref.ref[np.ndarray]] = []
     most = 0

@@ -105,7 +105,7 @@ def make_shapes(folder: Path, **more: object) -> MakeShapesSpec:
     return MakeShapesSpec(**(given | more))
 
 
-@pytest.mark.parametrize("point", [50, 310, -1])
+@pytest.mark.parametrize("point", [pytest.param(50, marks=pytest.mark.slow), 310, -1])
 def test_a_landmark_on_the_wrong_point_is_suspected(folder: Path, scan: Scan, point: int) -> None:
     right = bind(folder, scan)
     assert not any("landmarks" in note for note in run(right).notes)
