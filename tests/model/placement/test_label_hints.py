@@ -35,6 +35,13 @@ from usdface.model.placement.label_hints import (
         ("R000", ""),
         ("Lower", ""),
         ("cheekuper", ""),
+        ("BROW_INNER_L", "L"),
+        ("NOSTRIL_R", "R"),
+        ("UPPERR", "R"),
+        ("EYEL2", "L"),
+        ("LIP_UPPER", ""),
+        ("HEAD_CENTER1", ""),
+        ("chin_cleft", ""),
     ],
 )
 def test_a_side_is_read_where_a_label_names_one(label: str, side: str) -> None:
@@ -43,7 +50,12 @@ def test_a_side_is_read_where_a_label_names_one(label: str, side: str) -> None:
 
 @pytest.mark.parametrize(
     ("left", "right"),
-    [("Leye_Up", "Reye_Up"), ("Mouth_UpL1", "Mouth_UpR1"), ("left brow", "right brow")],
+    [
+        ("Leye_Up", "Reye_Up"),
+        ("Mouth_UpL1", "Mouth_UpR1"),
+        ("left brow", "right brow"),
+        ("LID_UPPER_L", "LID_UPPER_R"),
+    ],
 )
 def test_the_label_of_the_other_side_is_found_both_ways(left: str, right: str) -> None:
     assert right in mirrored_label(left)

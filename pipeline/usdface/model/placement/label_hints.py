@@ -29,6 +29,12 @@ _UPPER_WORD = re.compile(r"up|top")
 _LOWER_WORD = re.compile(r"down|low|bot")
 _WORN = re.compile(r"head|skull|cap|band")
 _NOT_A_SIDE = re.compile(r"^(lip|lid|low|lower|root|ridge|rim)", re.IGNORECASE)
+_SIDED_WORD = re.compile(
+    r"""(?:brow?|eye|lid|nose|nasi|nstr|cheek|mouth|lip|chin|jaw|ear|temple|forehead|head|f?hd|skull
+        |orbi?|corner|upper|lower|inner|outer|up|low|in|out|mid|middle)$""",
+    re.VERBOSE | re.IGNORECASE,
+)
+"""End of what a side follows without a separator, in the same case: ``EYER``, but not ``LOWER``."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +59,18 @@ def side_of_label(label: str) -> Side:
     for found in _LEFT_RIGHT.finditer(name):
         if found["front"] and _NOT_A_SIDE.match(name):
             continue
-        token = found["front"] or found["back"]
-        # A lower-case letter at the end is often that of a word, as in ``cheekuper``.
-        if found["back"] in ("l", "r") and name[found.start("back") - 1] not in "_-. ":
+        if found["back"] and _ends_a_word(name, found):
             continue
-        return token[0].upper()
+        return (found["front"] or found["back"])[0].upper()
     return ""
+
+
+def _ends_a_word(name: str, found: re.Match[str]) -> bool:
+    """Whether a side at the end is part of a word, as in ``cheekuper``, ``INNER`` or ``cleft``."""
+    side, before = found["back"], name[: found.start("back")]
+    if before[-1] in "_-. " or (side[0].isupper() and before[-1].islower()):
+        return False
+    return side in ("l", "r") or not _SIDED_WORD.search(before)
 
 
 def upper_lid_sides(labels: Sequence[str]) -> set[Side]:
