@@ -69,6 +69,12 @@ def test_sides_stand_at_the_end_of_names_without_capitals() -> None:
     assert matched(glued) == set(zip(ARKIT, glued, strict=True))
 
 
+def test_names_in_other_scripts_are_not_the_same_name() -> None:
+    assert not match_names(["口開", "▲"], ["まばたき", "ω"]).matches
+    assert match_names(["口開"], ["口開_L", "口開_R"]).matches
+    assert read_meanings(["Lächeln"])["Lächeln"].side == ""
+
+
 def test_doubts_are_of_what_the_other_rig_has() -> None:
     twice = ["tongue_Scale_X", "tongue_Scale__X", "jawOpen", "mouth_open"]
     (note,) = match_names(twice, ARKIT).ambiguous

@@ -7,6 +7,7 @@ list of names is read as a whole, to ignore the affixes that all names share. Th
 
 import functools
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +36,7 @@ Phrase = frozenset[str] | tuple[str, ...]
 UNKNOWN_RANK = 9.0
 """Rank of a name in no vocabulary, whose motion is its words."""
 
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_A-Za-z]+")
 _GAZES = {"raise": "up", "down": "down", "in": "in", "inner": "in", "out": "out", "outer": "out"}
 _SHORTEST_GLUED = 5
 """Minimum number of letters of a word that is split into several, as in ``eyelookup``."""
@@ -129,8 +130,10 @@ def _other_way(motion: str) -> str:
 
 
 def _words(name: str) -> list[str]:
-    base = re.split(r"[:|/]", name)[-1] or name
-    parts = [part for word in _WORD.findall(base) for part in _split_glued(word.lower())]
+    base = unicodedata.normalize("NFKD", re.split(r"[:|/]", name)[-1] or name)
+    base = re.sub(r"[\u0300-\u036f]", "", base)  # accents, which would part words
+    base = unicodedata.normalize("NFKC", base)
+    parts = [part for word in _WORD.findall(base) or [base] for part in _split_glued(word.lower())]
     return [part if part in FILLERS else _abbreviations().get(part, part) for part in parts]
 
 
