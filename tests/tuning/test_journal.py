@@ -69,3 +69,18 @@ def test_a_journal_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "journal").mkdir()
     with pytest.raises(InputError, match="the change cannot be saved"):
         Journal(tmp_path / "journal").append(CHANGES)
+
+
+def test_what_a_full_disk_took_of_a_change_is_removed(journal: Journal) -> None:
+    journal.append(CHANGES[:1])
+    room = journal.path.stat().st_size + 20
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        with pytest.raises(InputError, match="the change cannot be saved"):
+            journal.append(CHANGES[1:2])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    journal.append(CHANGES[2:])
+    assert journal.replay() == [CHANGES[0], CHANGES[2]]

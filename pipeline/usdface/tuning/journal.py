@@ -4,6 +4,7 @@ Writing a line takes 4 ms, a USD layer tens of milliseconds. The layer is writte
 pause; after a crash, the lines are replayed.
 """
 
+import errno
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -76,17 +77,18 @@ class Journal:
 
     def append(self, changes: Iterable[Change]) -> None:
         """Write changes and flush them to disk."""
-        lines = [_CHANGE.dump_json(change) + b"\n" for change in changes]
+        data = b"".join(_CHANGE.dump_json(change) + b"\n" for change in changes)
         is_new = not self.path.exists()
         try:
             with side_stream(self.path, "ab") as stream:
                 start = stream.tell()
+                handle = stream.fileno()  # the stream would keep what a full disk does not take
                 try:
-                    stream.write(b"".join(lines))
-                    stream.flush()
-                    os.fsync(stream.fileno())
+                    if os.write(handle, data) < len(data):
+                        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                    os.fsync(handle)
                 except OSError:
-                    stream.truncate(start)  # an incomplete line would corrupt the next one
+                    os.ftruncate(handle, start)  # an incomplete line would corrupt the next one
                     raise
             if is_new:
                 flush_folder(self.path.parent)
