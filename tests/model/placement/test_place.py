@@ -116,9 +116,26 @@ def test_shapes_named_by_the_viewer_show_the_same_landmarks(demo) -> None:
     assert found.keys() == named.keys()
     for name, place in named.items():
         np.testing.assert_allclose(found[name], place, atol=1e-9)
-    blinks = {"eyeBlinkLeft": "eyeBlinkRight", "eyeBlinkRight": "eyeBlinkLeft"}
-    one_eye = find_landmarks(skin, tuple(blinks.get(name, name) for name in rig.shapes))
-    assert "eye_inner_L" not in one_eye  # blinks alone are exchanged: no landmark, not a wrong one
+    for motion in ("eyeBlink", "browOuterUp"):  # of one motion alone
+        pair = {f"{motion}{side}": f"{motion}{other[side]}" for side in other}
+        found = find_landmarks(skin, tuple(pair.get(name, name) for name in rig.shapes))
+        for name, place in named.items():
+            np.testing.assert_allclose(found[name], place, atol=1e-9)
+
+
+def test_sides_that_both_shapes_leave_still_have_no_landmark(demo) -> None:
+    rig, skin = demo
+    copied = skin.deltas.copy()
+    for motion in ("browOuterUp", "mouthDimple"):
+        left, right = (rig.shapes.index(f"{motion}{side}") for side in ("Left", "Right"))
+        copied[right] = np.where((skin.positions[:, :1] > skin.sagittal_x), copied[left], 0.0)
+        copied[left] = copied[right]
+    found = find_landmarks(replace(skin, deltas=copied), rig.shapes)
+    assert "brow_outer_L" in found
+    assert "brow_outer_R" not in found
+    hidden = [0.0 if name.startswith("jaw") else 1.0 for name in rig.shapes]  # the jaw is a joint
+    without_jaw = replace(skin, deltas=copied * np.array(hidden)[:, None, None])
+    assert "mouth_R" not in find_landmarks(without_jaw, rig.shapes)
 
 
 def test_shapes_with_foreign_names_are_known_by_what_they_do(demo) -> None:

@@ -6,6 +6,7 @@ by their displacements. On a rig whose jaw is a joint, the middle of the mouth i
 and its corners are where they dimple.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -119,9 +120,9 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
             found |= _eye(skin, blink, side, sign)
         for motion, name, least in _CENTROIDS:
             delta = moved.get((motion, side), moved.get((motion, "")))
-            if delta is not None:
-                away = sign * (skin.positions[:, 0] - skin.sagittal_x)
-                found[f"{name}_{side}"] = _centroid(skin, delta, away > least)
+            beside = sign * (skin.positions[:, 0] - skin.sagittal_x) > least
+            if delta is not None and np.abs(delta[beside]).max(initial=0.0) > _LEAST_MOTION_MM:
+                found[f"{name}_{side}"] = _centroid(skin, delta, beside)
         if f"lid_upper_{side}" in found:
             margin, brow = found[f"lid_upper_{side}"], found.get(f"brow_middle_{side}")
             if brow is None:
@@ -145,14 +146,15 @@ def _displacements(skin: FaceSkin, shapes: Sequence[str]) -> dict[tuple[str, str
         if np.abs(skin.deltas[index]).max(initial=0.0) > _LEAST_MOTION_MM:
             meant = meanings[shapes[index]]
             found.setdefault((meant.motion, meant.side), skin.deltas[index])
-    # Named by the viewer's sides if most shapes named left move the character's right side.
-    votes = 0.0
-    for (_, side), delta in found.items():
+    # Named by the viewer's sides, or exchanged, if the one named left moves the right side.
+    votes = Counter[str]()
+    for (motion, side), delta in found.items():
         across = np.linalg.norm(delta, axis=1) @ (skin.positions[:, 0] - skin.sagittal_x)
-        votes += _SIGNS.get(side, 0.0) * np.sign(across)
-    if votes < 0:
-        return {(motion, _OTHER.get(side, side)): delta for (motion, side), delta in found.items()}
-    return found
+        votes[motion] += int(_SIGNS.get(side, 0.0) * np.sign(across))
+    return {
+        (motion, _OTHER.get(side, side) if votes[motion] < 0 else side): delta
+        for (motion, side), delta in found.items()
+    }
 
 
 def _centroid(skin: FaceSkin, delta: FloatArray, mask: BoolArray) -> FloatArray:
@@ -241,7 +243,7 @@ def _lips(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -> dict[str,
     found = {"mouth_middle": middle}
     for side, sign in _SIDES:
         dimple = moved.get(("mouthdimple", side))
-        if dimple is not None:
+        if dimple is not None and np.abs(dimple[sign * away > 0]).max() > _LEAST_MOTION_MM:
             found[f"mouth_{side}"] = _centroid(skin, dimple, sign * away > 0)
     return found
 
