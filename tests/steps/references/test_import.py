@@ -94,6 +94,14 @@ def test_usd_of_another_rate_is_refused_unless_its_time_codes_are_pairs(tmp_path
     with pytest.raises(InputError, match=r"runs at 24 frames per second, .* at 120; export it"):
         execute(ReferencesImportSpec(references=path, weights=keys), overwrite=True)
     assert not read_references(path).tuned.any()
+    animation.GetBlendShapeWeightsAttr().Set([0.5, 0.25, 50.0], 3)
+    stage.Save()
+    with pytest.raises(
+        InputError, match=r"frame 3: smile is 50, and 1.5 is full .* divide its weig"
+    ):
+        execute(ReferencesImportSpec(references=path, weights=keys, at="pairs"), overwrite=True)
+    animation.GetBlendShapeWeightsAttr().Set([0.5, 0.25, 1.5], 3)  # beyond the range, as keyed
+    stage.Save()
     by_pair = ReferencesImportSpec(references=path, weights=keys, at="pairs")
     result = execute(by_pair, overwrite=True)
     assert result.figures["pairs"] == PAIRS

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import index_of
+from usdface.capture.channel_take import LARGEST_FRACTION
+from usdface.core.arrays import columns_by_name, index_of
 from usdface.core.assets import References, Take, Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import tuned_path
+from usdface.core.sidecars import is_usd_name, tuned_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.origin import provenance_of, spec_of, take_of_performance
@@ -26,6 +27,7 @@ from usdface.steps.inputs.weight_tables import (
     undo_clamping,
 )
 from usdface.steps.references.coverage import redraw_coverage
+from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import TunedPair, check_shown, read_keyed_references
 from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.take.read import read_first_frame
@@ -61,6 +63,8 @@ def run(spec: ReferencesImportSpec, *, provenance: Provenance, progress: Progres
         transfer = transfer_by_table(spec.names, given.names, references.shape_names)
         table = given.renamed(transfer)
     known = table.shapes_among(references.shape_names, file=spec.weights, owner="on the rig")
+    if is_usd_name(spec.weights):
+        _check_size(spec, references, table, known)
     pairs = _pairs(spec, references, table, known)
     unmatched = _unmatched_rows(spec, references, table, matched=len(pairs))
     write_tuned_weights(
@@ -117,6 +121,25 @@ def _pairs_of_references(spec: ReferencesImportSpec) -> WeightTable | None:
     return WeightTable(
         other.shape_names, frames, other.weights, keyed=frozenset(frames), takes=other.takes
     )
+
+
+def _check_size(
+    spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
+) -> None:
+    """Refuse weights of USD far beyond the rig's ranges, such as percent."""
+    weights = np.abs(table.columns(tuple(known)))
+    if weights.max(initial=0.0) <= LARGEST_FRACTION:
+        return
+    rig = read_rig_of(references, spec.references)
+    ends = columns_by_name(np.abs(rig.ranges).max(axis=1)[None], rig.shapes, known)[0]
+    far = np.argwhere(weights > LARGEST_FRACTION * ends)
+    if len(far):
+        row, column = far[0].tolist()
+        raise InputError(
+            f"{spec.weights} frame {table.frames[row]}: {known[column]} is "
+            f"{weights[row, column]:g}, and {ends[column]:g} is full on the rig; if 100 is full in "
+            "this file, divide its weights by 100"
+        )
 
 
 def _row_notes(
