@@ -80,6 +80,7 @@ def test_subdivision_keeps_the_way_polygons_face() -> None:
         ("/Hero/geo/cornea_L", FacePart.HIDDEN),
         ("/Hero/geo/head", None),
         ("/Hero/geo/eyelid_L", None),
+        ("/Hero/geo/l_eyelid_geo", None),
         ("/eyes/face", None),
     ],
 )

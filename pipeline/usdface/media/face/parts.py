@@ -58,7 +58,8 @@ _NAMES: tuple[tuple[str, FacePart], ...] = (
     (r"teeth|tooth|dent(al|ure)", FacePart.TEETH),
     (r"tongue|gum|mouth_?(bag|sock|cavity|interior)|oral", FacePart.MOUTH),
     (
-        r"eye_?(l|r|left|right)?_?(ball|s)?\d*(_?(l|r|left|right|geo|mesh))*$|(l|r|left|right)_?eye|sclera|iris",
+        r"eye_?(l|r|left|right)?_?(ball|s)?\d*(_?(l|r|left|right|geo|mesh))*$"
+        r"|(l|r|left|right)_?eye(?!lid|socket)|sclera|iris",
         FacePart.EYE,
     ),
 )
