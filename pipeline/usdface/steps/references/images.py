@@ -16,6 +16,7 @@ from usdface.core.text import first_few
 from usdface.media.film.video import open_video
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.specs.references import SelectSpec
+from usdface.usdio.authoring import unique_names
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ def store_images(
     notes = []
     folder = images_folder(spec.out)
     check_side_folder(folder)
-    for take in sources:
-        name = re.sub(r"[^\w.-]", "_", take.name)
+    names = unique_names(re.sub(r"[^\w.-]", "_", take.name) for take in sources)
+    for take, name in zip(sources, names, strict=True):
         pairs = [pair for pair, of in enumerate(references.takes) if of == take.name]
         named = {pair: folder / f"{name}.{int(references.frames[pair])}.jpg" for pair in pairs}
         if not named:
