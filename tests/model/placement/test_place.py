@@ -19,6 +19,7 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
+from usdface.model.placement.known_places import places_by_labels
 from usdface.model.placement.label_hints import side_of_label, skin_motion_mm
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import MarkerPlacement, place_markers
@@ -121,6 +122,16 @@ def test_shapes_named_by_the_viewer_show_the_same_landmarks(demo) -> None:
         found = find_landmarks(skin, tuple(pair.get(name, name) for name in rig.shapes))
         for name, place in named.items():
             np.testing.assert_allclose(found[name], place, atol=1e-9)
+
+
+def test_numbers_of_another_model_than_openfaces_name_no_landmark(demo) -> None:
+    rig, skin = demo
+    landmarks = find_landmarks(skin, rig.shapes)
+    for count, known in ((68, True), (478, False)):  # OpenFace's, and MediaPipe's
+        labels = tuple(f"landmark_{number}" for number in range(count))
+        still = np.zeros((count, 3))
+        cloud = marker_cloud(labels, still, still[None])
+        assert bool(places_by_labels(cloud, landmarks)) == known
 
 
 def test_sides_that_both_shapes_leave_still_have_no_landmark(demo) -> None:

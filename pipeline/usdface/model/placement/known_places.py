@@ -48,11 +48,12 @@ def _places_of_images(
 ) -> list[KnownPlace]:
     """Return the places of landmarks detected in images; see `places_by_labels`."""
     column = {label: row for row, label in enumerate(cloud.labels) if row not in without}
+    of_openface = "landmark_68" not in cloud.labels  # else numbers of another model
     places = []
     for stem, (spread, names, right, left) in _IMAGE_LANDMARKS.items():
         for side, numbers in (("R", right), ("L", left)) if left else (("", right),):
             labels = [name.format(side) for name in names]
-            labels += [f"landmark_{number}" for number in numbers]
+            labels += [f"landmark_{number}" for number in numbers if of_openface]
             markers = tuple(column[label] for label in labels if label in column)
             if markers and stem + side in landmarks:
                 place = landmarks[stem + side]
