@@ -224,16 +224,6 @@ def test_a_surface_that_nothing_moves_is_refused(face):
         sample_face_skin(face.points, face.triangles, 0 * face.flat_offsets)
 
 
-@pytest.mark.parametrize(
-    ("neutral", "positions", "message"),
-    [
-        (np.zeros((5, 2)), np.zeros((4, 5, 2)), r"neutral must be \(markers, 3\)"),
-        (np.full((5, 3), np.nan), np.zeros((4, 5, 3)), "leave unseen markers out"),
-        (np.zeros((3, 3)), np.zeros((4, 3, 3)), "at least 4 markers, got 3"),
-        (np.eye(5, 3), np.zeros((4, 3, 3)), "motion must be"),
-        (np.eye(5, 3), np.full((4, 5, 3), np.nan), "fill gaps first"),
-    ],
-)
-def test_refuses_arrays_that_do_not_fit(neutral, positions, message):
-    with pytest.raises(ValueError, match=message):
-        marker_cloud(tuple("abcde")[: len(neutral)], neutral, positions)
+def test_three_markers_are_too_few():
+    with pytest.raises(ValueError, match="at least 4 markers, got 3"):
+        marker_cloud(tuple("abc"), np.zeros((3, 3)), np.zeros((4, 3, 3)))

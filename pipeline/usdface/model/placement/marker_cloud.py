@@ -70,26 +70,18 @@ def marker_cloud(
     rigid : sequence of int
         Markers that move with the skull alone.
     """
-    y = np.asarray(neutral, float)
-    if y.ndim != 2 or y.shape[1] != 3 or not np.isfinite(y).all():
-        raise ValueError(
-            f"neutral must be (markers, 3) and finite, got {y.shape}; leave unseen markers out"
-        )
-    if len(y) < FEWEST_MARKERS:
-        raise ValueError(f"registration needs at least {FEWEST_MARKERS} markers, got {len(y)}")
-    still = np.zeros(len(y), np.bool_)
+    count = len(neutral)
+    if count < FEWEST_MARKERS:
+        raise ValueError(f"registration needs at least {FEWEST_MARKERS} markers, got {count}")
+    still = np.zeros(count, np.bool_)
     still[list(rigid)] = True
-    return MarkerCloud(labels, y, _pick_frames(y, positions, visible, still), still)
+    return MarkerCloud(labels, neutral, _pick_frames(neutral, positions, visible, still), still)
 
 
 def _pick_frames(
     neutral: FloatArray, positions: RealArray, visible: BoolArray | None, still: BoolArray
 ) -> FloatArray:
     """Return the displacements of frames that differ most from each other."""
-    if positions.ndim != 3 or positions.shape[1:] != neutral.shape:
-        raise ValueError(
-            f"motion must be (frames, {len(neutral)}, 3) like the neutral, got {positions.shape}"
-        )
     rows = np.arange(len(positions))
     if not len(rows):
         return np.zeros((0, *neutral.shape))
@@ -97,8 +89,6 @@ def _pick_frames(
         seen = np.asarray(visible, bool).mean(axis=1)
         rows = np.flatnonzero(seen >= min(0.999, float(np.quantile(seen, 0.5))))
     moved = positions[rows[:: max(1, len(rows) // _POOL_FRAMES)]] - neutral
-    if not np.isfinite(moved).all():
-        raise ValueError("motion must be finite; fill gaps first")
     moved[:, still] = 0
     flat = moved.reshape(len(moved), -1)
     count = min(_PICKED_FRAMES, len(flat))
