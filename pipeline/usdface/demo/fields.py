@@ -7,6 +7,7 @@ left and right shapes are exact mirror images.
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from usdface.core.arrays import FloatArray, smoothstep
 from usdface.demo.half_cage import Mark
@@ -128,15 +129,9 @@ class FaceFields:
 
     def gaze(self, outwards: float, upwards: float) -> FloatArray:
         """Rotate the eyeball [degrees]."""
-        yaw, pitch = np.radians([outwards, upwards])
-        turn_y = np.array(
-            [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
-        )
-        turn_x = np.array(
-            [[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]]
-        )
+        turn = Rotation.from_euler("YX", [outwards, -upwards], degrees=True).as_matrix()
         local = np.column_stack([self.x, self.y, self.z]) - self.style.eye.center
-        moved: FloatArray = local @ (turn_y @ turn_x).T - local
+        moved: FloatArray = local @ turn.T - local
         moved[self.head.parts != HeadPart.EYES] = 0.0
         return moved
 

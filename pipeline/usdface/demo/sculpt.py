@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, distances, row_lengths
 
 Vec = tuple[float, float, float]
 
@@ -170,16 +170,10 @@ ACTOR = Style(
 Form = Callable[[FloatArray], FloatArray]
 
 
-def _lengths(vectors: FloatArray) -> FloatArray:
-    """Return lengths of vectors, three times as fast as `numpy.linalg.norm`."""
-    x, y, z = (vectors[..., axis] for axis in range(3))
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
-
-
 def ellipsoid(points: FloatArray, center: Vec, radii: Vec) -> FloatArray:
     """Return the approximate signed distance to an ellipsoid; exact on its surface."""
     scaled = (points - center) / radii
-    near, gradient = _lengths(scaled), _lengths(scaled / radii)
+    near, gradient = row_lengths(scaled)[..., 0], row_lengths(scaled / radii)[..., 0]
     return np.asarray(near * (near - 1.0) / np.maximum(gradient, 1e-6))
 
 
@@ -191,7 +185,7 @@ def capsule(
     offset = points - start
     along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
     radius = start_radius + along * (stop_radius - start_radius)
-    return np.asarray(_lengths(offset - along[..., None] * axis) - radius)
+    return np.asarray(distances(offset, along[..., None] * axis) - radius)
 
 
 def blend(first: FloatArray, second: FloatArray, rounding: float) -> FloatArray:
@@ -276,7 +270,7 @@ def _eye(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
     d = carve(d, socket, 14.0)
     corner = ellipsoid(p, (x - e.half_width - 3.0, y + 2.0, z + e.radius + 3.0), (6.0, 8.0, 7.0))
     d = carve(d, corner, 8.0)
-    lids = _lengths(p - e.center) - (e.radius + LID_THICKNESS)
+    lids = distances(p, np.array(e.center)) - (e.radius + LID_THICKNESS)
     return blend(d, lids, 10.0)
 
 
