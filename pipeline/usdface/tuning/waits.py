@@ -5,12 +5,14 @@ does not wait for them.
 """
 
 import asyncio
-import contextlib
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 _Made = TypeVar("_Made")
+
+_MOST_THREADS = 64
+"""More than a browser's requests, as those that wait for the markers keep their thread."""
 
 
 class StoppedError(Exception):
@@ -25,37 +27,19 @@ class Waits:
 
     def __init__(self) -> None:
         self._stopped = False
+        self._threads = ThreadPoolExecutor(_MOST_THREADS, "tune")
         self._waiting: set[asyncio.Future[Any]] = set()
 
     async def result_of(self, make: Callable[[], _Made]) -> _Made:
-        """Run a function in a new thread and return its result."""
+        """Run a function in a thread and return its result."""
         if self._stopped:
             raise StoppedError
-        loop = asyncio.get_running_loop()
-        made: asyncio.Future[_Made] = loop.create_future()
-
-        def settle(result: Any, error: BaseException | None) -> None:
-            if made.done():
-                return
-            if error is None:
-                made.set_result(result)
-            else:
-                made.set_exception(error)
-
-        def work() -> None:
-            result: _Made | None = None
-            fault: BaseException | None = None
-            try:
-                result = make()
-            except BaseException as error:  # raised in the waiting request
-                fault = error
-            with contextlib.suppress(RuntimeError):  # the loop is closed
-                loop.call_soon_threadsafe(settle, result, fault)
-
+        made = asyncio.get_running_loop().run_in_executor(self._threads, make)
         self._waiting.add(made)
-        threading.Thread(target=work, name="tune").start()
         try:
             return await made
+        except asyncio.CancelledError:
+            raise StoppedError from None
         finally:
             self._waiting.discard(made)
 
@@ -63,5 +47,4 @@ class Waits:
         """End all waits, also future ones."""
         self._stopped = True
         for each in self._waiting:
-            if not each.done():
-                each.set_exception(StoppedError())
+            each.cancel()
