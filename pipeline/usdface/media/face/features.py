@@ -11,18 +11,19 @@ mesh, and moving with the skin.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, index_of, smoothstep
-from usdface.core.assets import RigMesh, point_slices
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, smoothstep
+from usdface.core.assets import Rig, RigMesh
+from usdface.core.deformer import Deformer
 from usdface.media.face import shading
 from usdface.media.face.parts import Eyeball
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
 from usdface.numerics.measure.performance_error import find_lip_pairs
-from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 
 _UPPER_LIP, _LOWER_LIP = 0.26, 0.32
 """Height of the lips in the middle [half widths of the mouth]."""
@@ -109,13 +110,8 @@ def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32A
 def _offsets(meshes: Sequence[RigMesh]) -> tuple[tuple[str, ...], sparse.csr_array]:
     """Return the names of all shapes, and their offsets at weight 1: (shapes, 3 * points)."""
     names = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
-    row_of, tracks = index_of(names), list[ChannelKeys]()
-    for mesh, own in zip(meshes, point_slices(meshes), strict=True):
-        for shape in mesh.shapes:
-            full = Key(1.0, own.start + shape.keys[-1].points, shape.keys[-1].offsets)
-            tracks.append(ChannelKeys(row_of[shape.name], [full]))
-    count = sum(len(mesh.points) for mesh in meshes)
-    return names, BlendShapes(count, len(names), tracks).target_offsets()
+    ranges = np.tile([0.0, 1.0], (len(names), 1))
+    return names, Deformer(Rig(Path(), "", names, tuple(meshes), ranges)).shapes.target_offsets()
 
 
 def _moved_by(offsets: sparse.csr_array, shape: int) -> FloatArray:

@@ -53,8 +53,6 @@ class FaceRenderer:
     def __init__(
         self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None, paper: bool = False
     ) -> None:
-        self.point_count = sum(len(mesh.points) for mesh in meshes)
-        """Number of points of all meshes, drawn or not."""
         self._surface = build_surface(meshes)
         self._triangles = traced_triangles(self._surface.triangles)
         self._poses: tuple[_Pose, ...] = ()
