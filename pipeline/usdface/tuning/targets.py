@@ -9,7 +9,7 @@ from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.sidecars import corrected_path, proposed_path
-from usdface.model.mapping.motion_space import sampled_frames
+from usdface.model.mapping.motion_space import motion_of_pairs, sampled_frames
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.numerics.measure.face_regions import shapes_by_region
@@ -52,7 +52,9 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
 
     The takes are not needed: the asset has a sample of their motion.
     """
-    positions, starts = _sample(references)
+    # Blinks are judged by a sample of the takes, take by take, as by `select`.
+    motion_space = references.motion or motion_of_pairs(references)
+    positions = sampled_frames(motion_space)
     rigid = [references.marker_names.index(name) for name in references.rigid]
     placement, deformer = stored_placement(references, rig), Deformer(rig)
     equation = placed_equation(
@@ -65,7 +67,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
             visible=np.ones(positions.shape[:2], dtype=np.bool_),
             rigid=tuple(rigid),
             labels=references.marker_names,
-            starts=starts,
+            starts=motion_space.sample_starts,
         ),
     )
     rest = equation.virtual.places(deformer.neutral)
@@ -100,17 +102,6 @@ def _corrected(placement: RigPlacement | None, names: tuple[str, ...]) -> tuple[
     binding = placement.binding
     sources = dict(zip(binding.names, binding.sources, strict=True))
     return tuple(sources.get(name, "proposed") != "proposed" for name in names)
-
-
-def _sample(references: References) -> tuple[FloatArray, tuple[int, ...]]:
-    """Return a sample of the takes' frames, (frames, markers, 3), and the first row of each take.
-
-    Blinks are judged by it take by take, as by `select`; the pairs, if there is no sample.
-    """
-    motion = references.motion
-    if motion is None:
-        return references.markers, (0,)
-    return sampled_frames(motion), motion.sample_starts
 
 
 def _regions(
