@@ -25,19 +25,19 @@ def write_captures(folder: Path, lengths: Iterable[int]) -> None:
     """Write ``LENGTH.c3d`` of each number of frames, with noise."""
     actor, acted = make_head(ACTOR), performance()
     markers = demo_markers(actor)
-    captured = simulate_capture(actor, acted, markers)
-    count = len(captured.positions)
+    positions, visible = simulate_capture(actor, acted, markers)
+    count = len(positions)
     for frames in lengths:
         again = to_and_fro(frames, count)
         rng = np.random.default_rng(0)
-        positions = captured.positions[again]
+        moved = positions[again]
         for start in range(0, frames, count):
-            part = positions[start : start + count]
+            part = moved[start : start + count]
             part += np.float32(NOISE_MM) * rng.standard_normal(part.shape, dtype=np.float32)
         write_c3d(
             folder / f"{frames}.c3d",
-            positions,
-            captured.visible[again],
+            moved,
+            visible[again],
             markers.names,
             rate=acted.weights.rate,
             first_frame=1,

@@ -4,7 +4,6 @@ import csv
 from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -74,8 +73,8 @@ def test_the_clip_is_filmed_at_the_lines_asked_for(
     assert filmed == [CLIP_SIZE, (648, 720)]
 
 
-def _nothing_captured(*args: object) -> SimpleNamespace:
-    return SimpleNamespace(positions=None, visible=None)
+def _nothing_captured(*args: object) -> tuple[None, None]:
+    return None, None
 
 
 @pytest.mark.parametrize(

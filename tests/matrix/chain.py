@@ -131,15 +131,13 @@ def write_inputs(folder: Path, case: Case) -> Studio:
     acted, actor = sampled_performance(case), coarse_head(ACTOR)
     markers, count = demo_markers(actor), len(acted.rotation)
     longer = replace(case, seconds=max(case.seconds, SIMULATED_SECONDS))
-    captured = simulate_capture(actor, sampled_performance(longer), markers)
-    lost = np.random.default_rng(1).random(captured.visible.shape) < case.lost_share
+    positions, visible = simulate_capture(actor, sampled_performance(longer), markers)
+    lost = np.random.default_rng(1).random(visible.shape) < case.lost_share
     lost[acted.neutral_frame - case.first] = False
-    seen = (captured.visible & ~lost)[:count]
+    seen = (visible & ~lost)[:count]
     capture = folder / f"{case.take}.c3d"
     rate, first = case.rate, case.first
-    write_c3d(
-        capture, captured.positions[:count], seen, markers.names, rate=rate, first_frame=first
-    )
+    write_c3d(capture, positions[:count], seen, markers.names, rate=rate, first_frame=first)
     shapes = dict(zip(case.keyed or case.rig.shapes, case.rig.shapes, strict=True))
     known = [k for k, name in enumerate(acted.weights.names) if name in shapes]
     names = tuple(shapes[acted.weights.names[k]] for k in known)

@@ -51,11 +51,11 @@ def make_inputs(folder: Path) -> Shot:
     write_rig(folder / "hero.usdc", rig)
     actor, acted = coarse_head(ACTOR), performance()
     markers = demo_markers(actor)
-    captured = simulate_capture(actor, acted, markers)
+    positions, visible = simulate_capture(actor, acted, markers)
     write_c3d(
         folder / "shot.c3d",
-        captured.positions[:FRAMES],
-        captured.visible[:FRAMES],
+        positions[:FRAMES],
+        visible[:FRAMES],
         markers.names,
         rate=acted.weights.rate,
         first_frame=1,

@@ -235,12 +235,12 @@ def write_demo_inputs(
         acted = performance()
         markers = demo_markers(actor)
         progress(0.15, "capturing the actor")
-        captured = simulate_capture(actor, acted, markers)
+        positions, visible = simulate_capture(actor, acted, markers)
         capture_file = folder / "actor.c3d"
         write_c3d(
             capture_file,
-            captured.positions,
-            captured.visible,
+            positions,
+            visible,
             markers.names,
             rate=acted.weights.rate,
             first_frame=FIRST_FRAME,

@@ -200,17 +200,6 @@ _NECK = (0.0, -105.0, -25.0)  # centre of the head's rotation [mm]
 _SKIN_LIMIT = 70.0  # a displacement d [mm] becomes L tanh(d / L)
 
 
-@dataclass(frozen=True)
-class SimulatedCapture:
-    """The recorded capture."""
-
-    positions: Float32Array
-    """(frames, markers, 3): with head motion, noise and swapped labels, Y up [mm]; arbitrary if
-    occluded."""
-    visible: BoolArray
-    """(frames, markers)"""
-
-
 class ActorFace:
     """The actor's face at some of its points, with the actor's deviations from the shapes."""
 
@@ -263,8 +252,12 @@ def _between(keys: tuple[tuple[float, FloatArray], ...], weight: float) -> Float
 
 def simulate_capture(
     head: DemoHead, acted: ActedPerformance, markers: MarkerSet
-) -> SimulatedCapture:
-    """Simulate the capture of a performance with noise, gaps and swapped labels."""
+) -> tuple[Float32Array, BoolArray]:
+    """Simulate the capture of a performance with noise, gaps and swapped labels.
+
+    Returns positions with head motion, Y up, arbitrary if occluded, (frames, markers, 3) [mm]; and
+    which are visible, (frames, markers).
+    """
     rng = np.random.default_rng(102)
     face = ActorFace(head, markers.points)
     weights = columns_by_name(acted.weights.values, acted.weights.names, tuple(head.shapes))
@@ -278,7 +271,7 @@ def simulate_capture(
     for first, last, one, other in SWAPPED_LABELS:
         a, b = markers.names.index(one), markers.names.index(other)
         world[first : last + 1, [a, b]] = world[first : last + 1, [b, a]]
-    return SimulatedCapture(world.astype(np.float32), visible)
+    return world.astype(np.float32), visible
 
 
 def head_poses(acted: ActedPerformance) -> FloatArray:

@@ -235,10 +235,9 @@ def capture(shared_data: Path, name: str) -> tuple[Markers, float]:
         return take.markers, float(take.rate)
     actor, acted = make_head(ACTOR), performance()
     placed = demo_markers(actor)
-    captured = simulate_capture(actor, acted, placed)
-    seen = captured.visible
+    positions, seen = simulate_capture(actor, acted, placed)
     return (
-        Markers(placed.names, captured.positions, seen, seen.astype(np.float32)),
+        Markers(placed.names, positions, seen, seen.astype(np.float32)),
         float(acted.weights.rate),
     )
 
