@@ -11,8 +11,11 @@ import threading
 from contextlib import ExitStack
 from http.client import HTTPConnection
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 import uvicorn
 from starlette.responses import PlainTextResponse
@@ -40,6 +43,12 @@ def test_an_asset_keeps_its_port_and_shares_it_with_nobody(tmp_path: Path) -> No
             assert second.getsockname()[1] != port
     with _listen(spec) as again:
         assert again.getsockname()[1] == port
+
+
+def test_of_two_takes_with_a_frame_the_pair_that_was_added_is_shown() -> None:
+    references = SimpleNamespace(frames=np.array([50, 12, 50]))
+    session: Any = SimpleNamespace(references=references)
+    assert serve._first_pair(TuneSpec(references=Path("a.usda"), frame=50), session) == 2
 
 
 def test_a_page_left_open_over_a_restart_is_told_to_read_again(

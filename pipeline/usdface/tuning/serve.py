@@ -107,7 +107,7 @@ class _Server(uvicorn.Server):
 
 
 def _first_pair(spec: TuneSpec, session: TuningSession) -> int:
-    """Return the index of the first pair to show."""
+    """Return the index of the first pair to show: of the frame, that which was added last."""
     frames = session.references.frames
     if spec.frame is None:
         return 0
@@ -116,7 +116,7 @@ def _first_pair(spec: TuneSpec, session: TuningSession) -> int:
             f"{spec.references}: no pair is of frame {spec.frame}; add it with `usdface references "
             f"add PERFORMANCE --references {shell_word(spec.references)} --frames {spec.frame}`"
         )
-    return int(np.flatnonzero(frames == spec.frame)[0])
+    return int(np.flatnonzero(frames == spec.frame)[-1])
 
 
 async def _serve_and_save(
