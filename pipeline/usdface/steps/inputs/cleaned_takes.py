@@ -117,18 +117,9 @@ class CleanedTakes:
 
     def find_rows(self, frames: list[tuple[str, int]]) -> list[int | None]:
         """Return the row of each take and frame; None if there is none."""
-        starts = self.starts.tolist()
-        first = {
-            source.name: (start, end, int(self.frames[start]))
-            for source, start, end in zip(self.sources, starts, starts[1:], strict=False)
-            if end > start
-        }
-        rows: list[int | None] = []
-        for take, frame in frames:
-            start, end, begins = first.get(take, (0, 0, 0))
-            row = start + frame - begins
-            rows.append(row if start <= row < end else None)
-        return rows
+        every = zip(self.takes, self.frames.tolist(), strict=True)
+        row_of = {each: row for row, each in enumerate(every)}
+        return [row_of.get(each) for each in frames]
 
     def positions_at(self, rows: IntArray) -> Float32Array:
         """Return the markers at rows of all frames, (rows, markers, 3) [mm]."""
