@@ -150,6 +150,19 @@ def test_an_export_of_the_same_scene_is_imported_again_and_again(tmp_path: Path)
         (tmp_path / "back.usda").unlink()
 
 
+def test_keys_between_frames_that_are_left_out_are_told(tmp_path: Path) -> None:
+    path = perform(tmp_path)
+    changed = exported(tmp_path, curves_of())
+    stage = Usd.Stage.Open(str(changed))
+    (animation,) = (each for each in stage.TraverseAll() if each.IsA(UsdSkel.Animation))
+    weights = UsdSkel.Animation(animation).GetBlendShapeWeightsAttr()
+    weights.Set(Vt.FloatArray([1.0] * len(weights.Get(FIRST))), FIRST + 2.5)
+    stage.Save()
+    report = bring_back(path, changed)
+    assert report.summary == "nothing differs from the performance; its edits do not change"
+    assert report.notes[0].startswith(f"1 sample of {changed.name} between frames left out")
+
+
 def test_an_edit_that_was_taken_back_on_the_face_is_gone(tmp_path: Path) -> None:
     path = perform(tmp_path)
     execute(EditSpec(performance=path, shape=("jawOpen",), add=0.1, frames="103-105"))

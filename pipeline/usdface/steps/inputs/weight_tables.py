@@ -41,6 +41,8 @@ class WeightTable:
     """Frames per second; None if the file does not state it, or its tool ignores it."""
     keyed: frozenset[int] = frozenset()
     """Frames with samples in the file; others, of USD, are interpolated."""
+    between: int = 0
+    """Samples of the file that lie between frames, and are left out."""
     meshes: tuple[str, ...] = ()
     """The mesh of each shape's weights, if the tool keys shapes per mesh; otherwise empty."""
     other_meshes: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
@@ -107,6 +109,12 @@ class WeightTable:
             notes.append(
                 f"{file.name} has no column of frames: its {pluralize(len(self.frames), 'row')} "
                 f"count from frame 1{rate}, as for `ingest`"
+            )
+        if self.between:
+            notes.append(
+                f"{pluralize(self.between, 'sample')} of {file.name} between frames left out: the "
+                "weights at frames are read; bake the animation to whole frames there to keep its "
+                "peaks"
             )
         unknown = [name for name in self.names if name not in known]
         if unknown:
@@ -197,7 +205,10 @@ def read_weight_table(
         reader = PerformanceReader(path)
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
-        return WeightTable(reader.names, numbers, weights, reader.rate, reader.keyed_frames)
+        between = int(reader.between_frames.sum())
+        return WeightTable(
+            reader.names, numbers, weights, reader.rate, reader.keyed_frames, between
+        )
     return _table_of(path, unit, shapes, take)
 
 
@@ -280,6 +291,7 @@ def _exported_table(
         np.stack([curves[0].values for curves in exported.curves], axis=1),
         None if clamped else exported.rate,  # Blender imports time codes as frames at any rate
         exported.keyed,
+        exported.between,
         tuple(curves[0].mesh for curves in exported.curves),
         {
             name: {curve.mesh: curve.values for curve in curves[1:]}

@@ -46,6 +46,8 @@ class ExportedWeights:
     frames: tuple[int, ...]
     rate: Fraction
     keyed: frozenset[int]
+    between: int
+    """Samples between frames."""
 
 
 def blender_names(name: str) -> tuple[str, str]:
@@ -104,6 +106,7 @@ def read_exported_weights(path: Path) -> ExportedWeights | None:
         tuple(first.frames.tolist()),
         first.rate,
         first.keyed_frames,
+        int(first.between_frames.sum()),
     )
 
 
