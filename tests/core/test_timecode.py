@@ -71,3 +71,8 @@ def test_a_rate_of_no_camera_is_refused(rate: float) -> None:
     with pytest.raises(InputError, match=r"x: frame rate .*; it must be at least 0\.001 and at"):
         exact_rate(rate, where="x")
     assert exact_rate(0.001, where="x") == Fraction(1, 1000)
+
+
+@pytest.mark.parametrize(("rounded", "base"), [(11.988, 12), (11.99, 12), (14.985, 15)])
+def test_fractions_of_29_97_are_exact_rates_as_its_multiples_are(rounded: float, base: int) -> None:
+    assert exact_rate(rounded, where="x") == Fraction(1000 * base, 1001)

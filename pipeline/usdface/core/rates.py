@@ -112,7 +112,7 @@ def _check_drop_rate(what: str, rate: Fraction, base: int) -> None:
         )
 
 
-NTSC_BASES = (24, 30, 48, 60, 72, 90, 96, 120, 144, 180, 192, 240, 300, 360, 480)
+NTSC_BASES = (12, 15, 24, 30, 48, 60, 72, 90, 96, 120, 144, 180, 192, 240, 300, 360, 480)
 """[Hz] Rates that video also has over 1.001."""
 
 _NTSC_TOLERANCE = 0.0051
@@ -141,7 +141,7 @@ UNSAMPLED_FRAMES = 100_000
 def exact_rate(value: float, *, where: str) -> Fraction:
     """Return the exact rate of a rounded one.
 
-    A whole number, a multiple of 24 or 30 over 1.001 (23.976, 29.97, 59.94, 119.88, …), or the
+    A whole number, one of `NTSC_BASES` over 1.001 (14.985, 23.976, 29.97, 59.94, …), or the
     nearest fraction with a denominator of at most 1001.
     """
     if not _LOWEST_RATE <= value <= _HIGHEST_RATE:  # NaN included
