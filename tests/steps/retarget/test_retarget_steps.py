@@ -382,7 +382,7 @@ def test_a_sequence_is_put_in_and_the_rest_stays_to_the_last_bit(
         f"--timing {timing} --blend 8 --curves warp.png"
     )
     assert usdface(*line.split()) == 0
-    beyond = "replace frames after them: 191-210 (joy at 150-190); --timing fit"
+    beyond = "differ in length: 191-210 after joy at 150-190 replaced; --timing fit"
     assert (beyond in capsys.readouterr().out) == (timing == "own")
     before = read_control_clip(Path("beast.shot.usda")).controls
     after = read_control_clip(Path("warped.usda")).controls
@@ -431,6 +431,8 @@ def test_a_sequence_of_another_rate_lasts_as_long(performed: Stall, capsys) -> N
     assert any(told in note for note in said["notes"])
     (placed,) = (each["placed"] for each in said["figures"]["sequences"])
     assert placed[1] - placed[0] == (len(before.target) - 1) / 2
+    shorter = "differ in length: 181-190 after joy at 150-180 kept; --timing fit"
+    assert any(shorter in note for note in said["notes"])
     line = "find-sequences shot.usda --sequence joy.sequence.usda --out two.matches.usda"
     assert usdface(*line.split()) == 0
     assert told in capsys.readouterr().out

@@ -115,7 +115,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
         f"{pluralize(changed, 'frame')} changed",
         (
             *filter(None, dict.fromkeys(each.rate_note for each in placements)),
-            *_beyond_notes(placements),
+            *_length_notes(placements),
             *performance_notes(spec.out),
             *_head_notes(spec.performance),
         ),
@@ -195,19 +195,20 @@ def _placements(spec: WarpSpec, read: ControlClip) -> list[_Placement]:
     return placed
 
 
-def _beyond_notes(placements: list[_Placement]) -> list[str]:
-    """Return a note on frames after a match that a longer sequence replaces."""
-    beyond = [
-        f"{each.match.last_frame + 1}-{each.last_frame} ({each.sequence.label} at "
-        f"{each.first_frame}-{each.match.last_frame})"
-        for each in placements
-        if each.last_frame > each.match.last_frame
-    ]
-    if not beyond:
+def _length_notes(placements: list[_Placement]) -> list[str]:
+    """Return a note on frames between the ends of sequences and of their matches."""
+    between = []
+    for each in placements:
+        ends = sorted((each.match.last_frame, each.last_frame))
+        fate = "replaced" if each.last_frame == ends[1] else "kept"
+        if ends[0] < ends[1]:
+            after = f"{each.sequence.label} at {each.first_frame}-{ends[0]}"
+            between.append(f"{ends[0] + 1}-{ends[1]} after {after} {fate}")
+    if not between:
         return []
     return [
-        f"sequences longer than their matches replace frames after them: "
-        f"{first_few(beyond, most=3)}; --timing fit fits them to the matches"
+        f"sequences and their matches differ in length: {first_few(between, most=3)}; --timing fit "
+        "fits sequences to their matches"
     ]
 
 
