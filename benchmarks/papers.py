@@ -263,7 +263,8 @@ def _s11() -> Iterator[Row]:
         "12 frames on each side are free (`warp --blend 0`: as printed)",
     )  # fmt: skip
     source, target = rng.normal(size=(20, 90, 3)), rng.normal(size=(15, 90, 3))
-    both, asked = Correspondence(source, target, np.arange(20)), rng.random((30, 20))
+    both = Correspondence(source, target, np.ones(20), np.ones(15), np.arange(20))
+    asked = rng.random((30, 20))
     matched = match_positions(both, asked)
     matrix = target.reshape(15, -1).T
     wanted = asked @ source.reshape(20, -1)

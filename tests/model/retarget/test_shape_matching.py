@@ -43,6 +43,42 @@ def test_matching_positions_recovers_a_pose_of_the_same_face(faces) -> None:
     np.testing.assert_allclose(found[weights > 0], weights[weights > 0], atol=0.15)
 
 
+def with_ends(rig: Rig, ends: dict[str, float]) -> Rig:
+    """Return a rig that looks the same, with shapes that are full at other weights."""
+    meshes = tuple(
+        replace(
+            mesh,
+            shapes=tuple(
+                MeshShape(
+                    each.name,
+                    tuple(
+                        ShapeKey(key.weight, key.points, key.offsets / ends.get(each.name, 1.0))
+                        for key in each.keys
+                    ),
+                )
+                for each in mesh.shapes
+            ),
+        )
+        for mesh in rig.meshes
+    )
+    full = np.array([ends.get(name, 1.0) for name in rig.shapes])
+    return replace(rig, meshes=meshes, ranges=np.sort(np.outer(full, [0, 1]), axis=1))
+
+
+def test_positions_are_matched_by_weights_in_the_ranges_of_both_rigs(faces) -> None:
+    hero, _ = faces
+    other = with_ends(hero, {"jawOpen": -1.0, "mouthSmileLeft": 2.0})
+    used = [hero.shapes.index(name) for name in ("jawOpen", "mouthSmileLeft")]
+    weights = np.zeros((1, len(hero.shapes)))
+    weights[0, used] = 0.8, 1.0
+    found = match_positions(correspond(hero, hero), weights)
+    there = match_positions(correspond(hero, other), weights)
+    np.testing.assert_allclose(there[0, used], found[0, used] * [-1, 2], atol=1e-6)
+    back = weights.copy()
+    back[0, used] *= [-1, 2]
+    np.testing.assert_allclose(match_positions(correspond(other, hero), back), found, atol=1e-6)
+
+
 def test_nothing_to_match_is_no_match(faces) -> None:
     assert match_deformations(*faces, source_shapes=(), target_shapes=("jawOpen",)) == ()
 

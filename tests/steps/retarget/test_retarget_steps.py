@@ -258,6 +258,15 @@ def test_pairs_are_proposed_by_name_and_by_hand_keyed_ones_stay(stall: Stall, ca
     np.testing.assert_allclose(again.target.values[:, 1], 0.2 * np.arange(1, 5), atol=1e-6)
     assert again.names == pairs.names
     assert proposed_path(Path("p.pairs.usda")).is_file()
+    for name in ("human", "beast"):
+        rig = Usd.Stage.Open(f"{name}.usda")
+        for prim in (each for each in rig.Traverse() if each.GetName() == "jawOpen"):
+            prim.CreateAttribute("face:range", Sdf.ValueTypeNames.Double2).Set((-1.0, 0.0))
+        rig.GetRootLayer().Save()
+    assert usdface(*line.replace("p.pairs", "negative.pairs").split()) == 0
+    pairs = read_pairs(Path("negative.pairs.usda"))
+    np.testing.assert_array_equal(pairs.source[1:], np.diag([-1, 1, 1]))
+    np.testing.assert_array_equal(pairs.target.weights[1:], np.diag([-1, 1, 1]))
 
 
 def test_proposals_of_an_earlier_run_are_replaced_and_imported_pairs_stay(

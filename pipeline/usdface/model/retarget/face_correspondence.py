@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.core.assets import Rig
+from usdface.core.assets import Rig, range_ends
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.model.placement.rig_landmarks import find_landmarks
@@ -54,8 +54,11 @@ class Correspondence:
 
     source: FloatArray
     target: FloatArray
-    """`source`, `target`: (shapes, samples, 3): displacements at weight 1 in the frame of the
-    target's face, the source's in its proportions [mm]."""
+    """`source`, `target`: (shapes, samples, 3): displacements at the ends of the shapes' ranges in
+    the frame of the target's face, the source's in its proportions [mm]."""
+    source_ends: FloatArray
+    target_ends: FloatArray
+    """`source_ends`, `target_ends`: (shapes,): weights of these (`range_ends`)."""
     mirror: IntArray
     """(samples,): the sample nearest to the mirror image of each."""
 
@@ -91,6 +94,8 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
     return Correspondence(
         source=move(skin.deltas[:, chosen].astype(np.float64)),
         target=other_skin.deltas[:, np.asarray(nearest, np.int64)].astype(np.float64),
+        source_ends=range_ends(source.ranges),
+        target_ends=range_ends(target.ranges),
         mirror=np.asarray(opposite, np.int64),
     )
 
@@ -123,13 +128,14 @@ def _align(one: _Face, other: _Face) -> tuple[Alignment, float]:
 
 
 def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
-    """Return non-negative target weights whose displacements are nearest to the source's.
+    """Return target weights whose displacements are nearest to the source's.
 
-    Returns (frames, target shapes), from weights (frames, source shapes).
+    None has the opposite sign of its shape's end. Returns (frames, target shapes), from weights
+    (frames, source shapes).
     """
     matrix = both.target.reshape(len(both.target), -1).T
-    displacements = weights @ both.source.reshape(len(both.source), -1)
-    return solve_bounded_least_squares(
+    displacements = (weights / both.source_ends) @ both.source.reshape(len(both.source), -1)
+    return both.target_ends * solve_bounded_least_squares(
         matrix,
         displacements,
         lower=np.zeros(len(both.target)),

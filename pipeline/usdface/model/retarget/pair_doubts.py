@@ -66,8 +66,9 @@ def find_pair_doubts(pairs: ExpressionPairs, source: Rig, target: Rig) -> tuple[
         raise InputError(f"the pairs have shapes that the rigs lack: {first_few(unknown)}")
     rows = [source.shapes.index(name) for name in pairs.source_shapes]
     columns = [target.shapes.index(name) for name in pairs.target.shapes]
-    weights = pairs.target.weights - pairs.target.weights[rest]
-    acted = np.tensordot(pairs.source - pairs.source[rest], fields.source[rows], 1)
+    sources = (pairs.source - pairs.source[rest]) / fields.source_ends[rows]
+    weights = (pairs.target.weights - pairs.target.weights[rest]) / fields.target_ends[columns]
+    acted = np.tensordot(sources, fields.source[rows], 1)
     keyed = np.tensordot(weights, fields.target[columns], 1)
     likeness = unit_fields(acted) @ unit_fields(keyed).T
     mirrored = acted[:, fields.mirror] * [-1, 1, 1]

@@ -7,7 +7,7 @@ import numpy as np
 from usdface.capture.sniff import recognise_format
 from usdface.capture.weight_samples import read_weight_samples
 from usdface.capture.weight_table import read_weight_take
-from usdface.core.assets import Rig
+from usdface.core.assets import Rig, range_ends
 from usdface.core.controls import Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, silent
@@ -54,7 +54,8 @@ def run(spec: PairsProposeSpec, *, provenance: Provenance, progress: Progress) -
             "them with `usdface pairs import`"
         )
     rest = rest_controls(target, attributes=spec.attributes, joints=spec.joints)
-    pairs = _pairs(shapes, source, target, matches, rest)
+    by_table = spec.names is not None
+    pairs = _pairs(shapes, source, target, matches, rest, by_table=by_table)
     kept = 0
     if spec.out.is_file():
         pairs, kept, merge_notes = _with_existing(spec.out, pairs)
@@ -204,12 +205,19 @@ def _pairs(
     target: Rig,
     matches: list[NameMatch],
     rest: Controls,
+    *,
+    by_table: bool,
 ) -> ExpressionPairs:
     count = len(matches) + 1
     left = expression_rows([(), *(match.source for match in matches)], shapes)
     right = expression_rows([(), *(match.target for match in matches)], target.shapes)
     low, high = target.ranges.T
-    controls = shape_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
+    if not by_table:  # full expressions, some at negative weights; a table states its weights
+        left *= 1.0 if source is None else np.sign(range_ends(source.ranges))
+        right *= np.sign(range_ends(target.ranges))
+    controls = shape_controls(
+        target.shapes, np.clip(right, np.minimum(low, 0), np.maximum(high, 0))
+    )
     return ExpressionPairs(
         names=(REST_PAIR, *(match.name for match in matches)),
         source_shapes=shapes,
