@@ -49,7 +49,7 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import TunedPair
 from usdface.usdio.references.write import write_references, write_tuned_weights
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.take.read import TakeReader, read_take
+from usdface.usdio.take.read import TakeReader, read_first_frame, read_take
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
@@ -612,9 +612,10 @@ def test_edits_in_a_shot_teach_at_the_frames_of_the_take_that_it_plays(shot: Sho
     edit(cut, override=0.8, frames=f"{100 + moved}-{102 + moved}", fade=3)
     edit(shot / "shot.hero.usda", override=0.8, frames="100-102", fade=3)
 
-    def learn(path: Path) -> tuple[set[int], References]:
-        references, out = shot / "hero.references.usda", path.with_suffix(".references.usda")
-        spec = ReferencesFromEditsSpec(performances=(path,), references=references, out=out)
+    def learn(path: Path, take: tuple[Path, ...] = ()) -> tuple[set[int], References]:
+        given = {"references": shot / "hero.references.usda", "take": take}
+        out = path.with_suffix(".references.usda")
+        spec = ReferencesFromEditsSpec(performances=(path,), out=out, **given)
         return set(run(spec).figures["frames"]), read_references(out)
 
     frames, taught = learn(cut)
@@ -628,6 +629,12 @@ def test_edits_in_a_shot_teach_at_the_frames_of_the_take_that_it_plays(shot: Sho
     flattened.Export(str(flat))
     with pytest.raises(InputError, match=r"does not name the take .* give --take,"):
         learn(flat)
+    again = shot / "again" / "shot.clean.take.usda"
+    again.parent.mkdir()
+    slow = read_first_frame(shot / "shot.clean.take.usda")
+    write_take(again, replace(slow, rate=slow.rate / 2), provenance=Provenance())
+    with pytest.raises(InputError, match=r"runs at 60 frames per second, .*shot\.hero.* at 120"):
+        learn(cut, (again,))
     with pytest.raises(InputError, match=r"moves its weights by \+40 frames"):
         run(
             ReferencesAddSpec(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from fractions import Fraction
 from itertools import starmap
 from pathlib import Path
 
@@ -397,4 +398,10 @@ def find_captured_take(performance: Path, old: References, moved: Path | None) -
     take = TakeReader(moved or find_take(made, None))
     if take_name(made) not in ("", take.name):
         raise InputError(f"{take.path}: is not the take of {performance}; leave out --take")
+    rate = PerformanceReader(made).rate
+    if abs(rate / take.rate - 1) > Fraction(1, 500):  # frames of 120 and 119.88 are the same
+        raise InputError(
+            f"{take.path}: runs at {float(take.rate):g} frames per second, {made} at "
+            f"{float(rate):g}, so that their frames differ; leave out --take, or map this take"
+        )
     return take
