@@ -173,10 +173,23 @@ def test_what_ayon_copies_stands_alone_under_any_name(shot: Shot, plugins, tmp_p
 
 def test_a_name_that_ayon_refuses_is_made_one_that_it_takes(ayon_core: None) -> None:
     name = load("ayon/plugins/publish/collect_face_performances.py")._product_name
-    assert name("Küche 3; rm -rf") == "K_che_3__rm__rf"
+    assert name("Küche 3; rm -rf") == "Ku00fcche_3__rm__rf"
+    assert name("顔") != name("口")
     assert name("shot.hero") == "shot.hero"
     assert name(".shot.") == "shot"
     assert name("...") == "_"
+
+
+def test_two_performances_are_not_one_product(shot: Shot, plugins) -> None:
+    paths = [shot / name for name in ("a-b.usda", "a_b.usda")]
+    for path in paths:
+        shutil.copy(shot / "shot.hero.usda", path)
+    context = api.Context()
+    context.data["usdface"] = [str(path) for path in paths]
+    util.collect(context, plugins)
+    assert len(context) == 1
+    (failed,) = (each["error"] for each in context.data["results"] if each["error"])
+    assert "a_b.usda: its product would be a_b, as that of" in str(failed)
 
 
 def test_an_error_is_ayons_own_validation_error(shot: Shot, plugins, monkeypatch) -> None:

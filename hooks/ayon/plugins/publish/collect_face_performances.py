@@ -29,13 +29,22 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
             found = collect_performances(map(Path, paths))
         except UsdfaceError as error:  # AYON reports other classes as errors of the plug-in
             raise publish.PublishError(str(error), title="Face performances") from error
+        products = {}
         for item in found:
+            product = _product_name(item.name)
+            other = products.setdefault(product.casefold(), item)
+            if other is not item:
+                raise publish.PublishError(
+                    f"{item.performance}: its product would be {product}, as that of "
+                    f"{other.performance}; rename one of the files",
+                    title="Face performances",
+                )
             instance = context.create_instance(item.name)
             instance.data.update(
                 {
                     "productType": "facePerformance",
                     "productBaseType": "facePerformance",
-                    "productName": _product_name(item.name),
+                    "productName": product,
                     "family": "facePerformance",
                     "families": ["facePerformance"],
                     "folderPath": context.data.get("folderPath"),
@@ -53,8 +62,10 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
 
 
 def _product_name(name):
-    """Return a name of letters, digits, ``_`` and ``.``, as AYON requires."""
-    kept = "".join(
-        each if each.isascii() and (each.isalnum() or each in "_.") else "_" for each in name
-    )
+    """Return a name of letters, digits, ``_`` and ``.``, as AYON requires.
+
+    Other letters are their code points, so that names of them alone stay different.
+    """
+    letters = "".join(each if each.isalnum() or each == "." else "_" for each in name)
+    kept = "".join(each if each.isascii() else f"u{ord(each):04x}" for each in letters)
     return kept.strip(".") or "_"
