@@ -162,12 +162,24 @@ def test_what_workers_need_is_named_and_what_they_make_is_not(tmp_path: Path) ->
 def test_all_pictures_of_a_sequence_are_carried_to_a_farm(tmp_path: Path) -> None:
     for number in (7, 8):
         write_image(tmp_path / f"shot.{number}.png", np.zeros((8, 8, 3), np.uint8))
+    take = """#usda 1.0
+( defaultPrim = "Take" )
+def "Take" ( prepend apiSchemas = ["FaceTakeAPI"] )
+{
+    asset face:video:file = @shot.7.png@
+}
+"""
+    (tmp_path / "in.usda").write_text(take)
     job = tmp_path / "job.yaml"
-    job.write_text("{step: track, video: shot.7.png, video_rate: 24, out: a.take.usda}")
-    bundle = submit(SubmitSpec(job=job, write_only=True)).bundle
-    carried = yaml.safe_load((bundle / "asset_references.yaml").read_text())["assetReferences"]
-    names = [Path(each).name for each in carried["inputs"]["filenames"]]
-    assert names == ["shot.7.png", "shot.8.png"]
+    for step, others in (
+        ("{step: track, video: shot.7.png, video_rate: 24, out: a.take.usda}", []),
+        ("{step: clean, take: in.usda, out: b.take.usda}", ["in.usda"]),
+    ):
+        job.write_text(step)
+        bundle = submit(SubmitSpec(job=job, write_only=True)).bundle
+        carried = yaml.safe_load((bundle / "asset_references.yaml").read_text())["assetReferences"]
+        names = [Path(each).name for each in carried["inputs"]["filenames"]]
+        assert names == [*others, "shot.7.png", "shot.8.png"]
 
 
 def test_a_job_whose_input_is_missing_is_refused_before_it_waits_in_a_queue(tmp_path: Path) -> None:

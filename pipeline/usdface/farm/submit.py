@@ -35,7 +35,9 @@ from usdface.specs.commands import SubmitSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import read_job
+from usdface.usdio.layers import is_layer_name
 from usdface.usdio.referenced_files import frame_range_of
+from usdface.usdio.take.read import TakeReader, is_take
 
 _FRAME = "#IFRAME#"
 """Placeholder of the frame number in commands of OpenCue."""
@@ -272,10 +274,14 @@ def _with_absolute_paths(job: JobSpec) -> JobSpec:
 def _carried(job: JobSpec) -> list[Path]:
     """Return the files that the job's input layers refer to, and the pictures of sequences."""
     made = {path for step in job.steps for path in step.changes()}
-    read = {path: how for step in job.steps for path, how in step.reads().items()}
+    steps_read = {path: how for step in job.steps for path, how in step.reads().items()}
+    read = {path: how for path, how in steps_read.items() if path not in made}
+    for take in [path for path in read if is_layer_name(path) and is_take(path)]:
+        video = TakeReader(take).read_video()
+        if video is not None and video.file.is_file():
+            read[video.file] = Reads(sequence=True)
     return [
         file
         for path, how in read.items()
-        if path not in made
         for file in input_files(path, replace(how, alone=False, assets=True))
     ]

@@ -149,7 +149,7 @@ class TakeReader:
             markers=self.read_markers_at(frames),
             source=self.read_source(frames),
             head_motion=self._read_head_motion(frames) if head_motion else None,
-            video=self._read_video(),
+            video=self.read_video(),
             audio=None if audio is None else self._resolve(audio),
             performer=self.performer,
             session=self.session,
@@ -294,7 +294,9 @@ class TakeReader:
             )
         return [Event(str(label), float(time)) for label, time in zip(labels, times, strict=True)]
 
-    def _read_video(self) -> Video | None:
+    @refusing_wrong_types
+    def read_video(self) -> Video | None:
+        """Return the take's video, which may be missing; None if it names none."""
         asset = value_of(self._root, "face:video:file")
         if asset is None or not str(getattr(asset, "path", "")):
             return None
