@@ -113,17 +113,37 @@ def test_json_may_have_tabs_and_escaped_characters_beyond_16_bits(tmp_path: Path
     assert (job.job, job.steps[0].paths(Reads)) == ("\U0001f600", (tmp_path / step["take"],))
 
 
-@pytest.mark.parametrize("number", ["0120", "-077", "0_7"])
-def test_a_number_that_yaml_reads_with_base_8_is_refused(tmp_path: Path, number: str) -> None:
+@pytest.mark.parametrize(
+    ("number", "base"), [("0120", 8), ("-077", 8), ("0_7", 8), ("1:20", 60), ("1:20.5", 60)]
+)
+def test_a_number_that_yaml_reads_with_another_base_is_refused(
+    tmp_path: Path, number: str, base: int
+) -> None:
     text = f"job: a\nsteps: [{{step: clean, take: a.usda, out: b.usda, neutral: {number}}}]\n"
-    with pytest.raises(InputError, match=rf"line 2, column \d+: YAML reads {number} with base 8"):
+    with pytest.raises(
+        InputError, match=rf"line 2, column \d+: YAML reads {number} with base {base}"
+    ):
         read_job(write(tmp_path, text))
 
 
 def test_a_word_that_yaml_reads_as_a_boolean_needs_quotes(tmp_path: Path) -> None:
-    text = "{step: ingest, sources: [a.c3d], out: b.usda, mirrored: no}"
-    with pytest.raises(InputError, match=r"mirrored: it can be labels, axes, no; in quotes, as"):
-        read_job(write(tmp_path, text))
+    quote = "quote a name that YAML reads as a number, a date, true or false"
+    for option, told in (
+        ("mirrored: no", "mirrored: it can be labels, axes, no; in quotes, as"),
+        ("performer: no", f"performer: give a text; {quote}"),
+        ("video: 1.10", f"video: give the path of a file; {quote}"),
+        ("neutral: on", r"neutral: give a number \(got True\)"),
+    ):
+        text = f"{{step: ingest, sources: [a.c3d], out: b.usda, {option}}}"
+        with pytest.raises(InputError, match=told):
+            read_job(write(tmp_path, text))
+    steps = "[{for_each: take, steps: [{step: clean, take: a.usda, out: '{day}.usda'}]}]"
+    for takes, told in (
+        ("[no]", f"take 1: must be a name.*{quote}"),
+        ("[{take: a, day: no}]", quote),
+    ):
+        with pytest.raises(InputError, match=told):
+            read_job(write(tmp_path, f"{{job: a, takes: {takes}, steps: {steps}}}"))
 
 
 def test_options_shared_by_steps_may_be_changed_for_one(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from usdface.core.text import json_text
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import PRIM_PATTERN, PathRules, map_path
-from usdface.specs.takes import step_places
+from usdface.specs.takes import QUOTE_IT, step_places
 
 if TYPE_CHECKING:
     import yaml
@@ -47,11 +47,12 @@ FAULT_WORDS = {
     "finite_number": "give a finite number",
     "bool_type": "give true or false",
     "bool_parsing": "give true or false",
-    "string_type": "give a text; a name that looks like a number needs quotes",
+    "string_type": f"give a text; {QUOTE_IT}",
     "string_unicode": "give a text that is valid Unicode",
     "string_too_short": "give {min_length} or more characters",
     "string_too_long": "give at most {max_length} characters",
-    "path_type": "give the path of a file",
+    "path_type": f"give the path of a file; {QUOTE_IT}",
+    "invalid_key": f"give a name; {QUOTE_IT}",
     "greater_than": "give more than {gt}",
     "greater_than_equal": "give {ge} or more",
     "less_than": "give less than {lt}",
@@ -163,7 +164,8 @@ LARGEST_SPEC_BYTES = 16 << 20
 MOST_VALUES = 1_000_000
 """Limit of values; YAML aliases can expand a few lines to billions."""
 
-_OCTAL = re.compile(r"[-+]?0[0-7_]+")
+_OTHER_BASES = {8: re.compile(r"[-+]?0[0-7_]+"), 60: re.compile(r".*:.*")}
+"""Numbers that YAML reads with another base than 10."""
 
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
@@ -254,13 +256,17 @@ def _count_values(node: "yaml.Node | None", counts: dict[int, int]) -> int:
     """Return the number of values that a node stands for.
 
     Refuses too many, keys given twice in one table, of which YAML would use the last, and numbers
-    that YAML reads with base 8.
+    of `_OTHER_BASES`.
     """
     import yaml
 
-    if node and node.tag == "tag:yaml.org,2002:int" and _OCTAL.fullmatch(node.value):
-        problem = f"YAML reads {node.value} with base 8; leave out the 0, or quote it if it is text"
-        raise yaml.MarkedYAMLError(None, None, problem, node.start_mark)
+    if node and node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
+        for base in [each for each in _OTHER_BASES if _OTHER_BASES[each].fullmatch(node.value)]:
+            problem = (
+                f"YAML reads {node.value} with base {base}; write a number with base 10 and no 0 "
+                "before it, or quote it if it is text"
+            )
+            raise yaml.MarkedYAMLError(None, None, problem, node.start_mark)
     if not isinstance(node, yaml.CollectionNode):
         return 1
     if id(node) in counts:  # aliases share nodes

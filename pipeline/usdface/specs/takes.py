@@ -24,6 +24,8 @@ _MOST_STEPS = 100_000
 _PLACE = re.compile(r"\{\{|\}\}|\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _TAKE_NAME = re.compile(r"[^\x00-\x1f\x7f/\\]{1,200}")
 
+QUOTE_IT = "quote a name that YAML reads as a number, a date, true or false"
+
 Row = Mapping[str, Any]
 
 TAKES_SCHEMA: dict[str, Any] = {
@@ -134,7 +136,9 @@ def _rows(takes: Any) -> list[Row]:
     for number, row in enumerate(rows, start=1):
         where = f"take {number}"
         if not isinstance(row, Mapping) or not isinstance(row.get("take"), str):
-            raise ValueError(f"{where}: must be a name, or a table with its name as `take`")
+            raise ValueError(
+                f"{where}: must be a name, or a table with its name as `take`; {QUOTE_IT}"
+            )
         name = row["take"]
         if not _TAKE_NAME.fullmatch(name) or name in (".", ".."):
             raise ValueError(
@@ -157,13 +161,22 @@ def _filled(value: Any, row: Row, where: str) -> Any:
         if whole and whole[1]:  # a number stays a number
             return _look_up(row, whole[1], where)
         return _PLACE.sub(
-            lambda found: str(_look_up(row, found[1], where)) if found[1] else found[0][0], value
+            lambda found: (
+                _as_text(_look_up(row, found[1], where), where) if found[1] else found[0][0]
+            ),
+            value,
         )
     if isinstance(value, Mapping):
         return {key: _filled(each, row, where) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [_filled(each, row, where) for each in value]
     return value
+
+
+def _as_text(value: Any, where: str) -> str:
+    if isinstance(value, bool):
+        raise ValueError(f"{where}: a text cannot contain {value}, a take's value; {QUOTE_IT}")
+    return str(value)
 
 
 def _repeated_per_take(value: Any, rows: list[Row], where: str) -> Any:
