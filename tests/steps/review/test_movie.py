@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tracemalloc
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -25,7 +26,13 @@ from usdface.runner.execute import execute
 from usdface.specs.commands import SubmitSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
 from usdface.steps.review import movie as movie_step
-from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
+from usdface.steps.review.clock import (
+    SAMPLE_RATE,
+    MovieClock,
+    movie_rate,
+    sound_between,
+    take_sound,
+)
 
 
 def spec_of(shot: Shot, name: str, **options: object) -> MovieSpec:
@@ -288,6 +295,20 @@ def test_the_cameras_sound_is_put_on_the_takes_clock(tmp_path: Path) -> None:
     assert len(heard) == 2 * SAMPLE_RATE
     # second 2 of the camera is second 1.5 of the take and second 1.0 of this movie
     assert abs(int(np.abs(heard).argmax()) / SAMPLE_RATE - 1.0) < 0.025
+
+
+def test_the_sound_of_a_part_takes_the_memory_of_the_part(monkeypatch) -> None:
+    monkeypatch.setattr("usdface.steps.review.clock._BLOCK_SAMPLES", 1000)
+    recorded = np.random.default_rng(0).normal(size=2_000_000).astype(np.float32)
+    take = Take("talk", Fraction(120), 1, video=Video(Path("a.mov"), offset=-0.5, drift=40.0))
+    for first in (0.0, -2.0, 39.5):  # the video ends at 41.2 s
+        tracemalloc.start()
+        heard = sound_between(take, recorded, first, first + 2.0)
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000  # [bytes] 0.4 of them the result
+        tracemalloc.stop()
+        at = take.video.video_time(first + np.arange(len(heard)) / SAMPLE_RATE) * SAMPLE_RATE
+        whole = np.interp(at, np.arange(len(recorded)), recorded, left=0.0, right=0.0)
+        np.testing.assert_allclose(heard, whole, atol=1e-6)
 
 
 def test_a_frame_of_a_movie_keeps_its_size_whatever_is_missing() -> None:

@@ -28,11 +28,13 @@ def read_audio(path: Path, *, rate: int = 16000) -> Float32Array:
     """
     with open_media(path) as container:
         stream = _sound_stream(path, container)
+        buffer = bytearray()  # a list of blocks would be copied
         with decoding(path):
-            blocks = list(_blocks(path, container, stream, rate))
-    if not blocks:
+            for block in _blocks(path, container, stream, rate):
+                buffer += block.data
+    if not buffer:
         raise InputError(f"{path}: its sound is empty; record or export it again")
-    samples = np.concatenate(blocks)
+    samples = np.frombuffer(buffer, np.float32)
     if not np.isfinite(samples).all():  # of float formats
         raise InputError(f"{path}: its sound holds NaN or infinite samples; export it again")
     return samples

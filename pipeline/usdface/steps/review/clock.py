@@ -13,6 +13,8 @@ from usdface.core.rates import frames_of, timecode_of
 from usdface.media.film.movie import SAMPLE_RATE
 from usdface.media.film.sound import read_audio
 
+_BLOCK_SAMPLES = 1 << 20
+
 HIGHEST_RATE = 60
 """[pictures per second] Highest rate of review screens."""
 
@@ -99,8 +101,15 @@ def sound_between(
     take: Take, recorded: Float32Array, first: float, last: float, rate: int = SAMPLE_RATE
 ) -> Float32Array:
     """Return a take's sound between two take times [s], padded with silence."""
-    times = first + np.arange(round((last - first) * rate)) / rate
-    if take.audio is None and take.video is not None:
-        times = take.video.video_time(times)
-    samples = np.interp(times * rate, np.arange(len(recorded)), recorded, left=0.0, right=0.0)
-    return samples.astype(np.float32)
+    samples = np.zeros(round((last - first) * rate), np.float32)
+    for start in range(0, len(samples), _BLOCK_SAMPLES):
+        block = samples[start : start + _BLOCK_SAMPLES]
+        times = first + np.arange(start, start + len(block)) / rate
+        if take.audio is None and take.video is not None:
+            times = take.video.video_time(times)
+        at = times * rate
+        low, high = (max(int(end), 0) for end in (at[0], at[-1]))
+        near = recorded[low : high + 2]
+        if len(near):
+            block[:] = np.interp(at - low, np.arange(len(near)), near, left=0.0, right=0.0)
+    return samples
