@@ -15,6 +15,7 @@ from usdface.media.picture.image import (
     encode_image,
     pack_timecode,
     read_image_metadata,
+    read_picture,
     unpack_timecode,
     write_image,
 )
@@ -169,3 +170,32 @@ def test_a_tall_picture_is_made_smaller_and_keeps_its_proportions() -> None:
 
 def test_png_in_memory_keeps_every_pixel() -> None:
     np.testing.assert_array_equal(decode(encode_image(PICTURE, "png")), PICTURE)
+
+
+def test_a_picture_of_a_phone_is_read_upright(tmp_path: Path) -> None:
+    upright = np.zeros((24, 16, 3), np.uint8)
+    upright[:8, :8], upright[16:, 8:] = 255, 128
+    as_stored = {1: upright, 3: upright[::-1, ::-1], 4: upright[::-1], 8: np.rot90(upright, -1)}
+    as_stored |= {2: upright[:, ::-1], 5: upright.swapaxes(0, 1), 6: np.rot90(upright)}
+    as_stored[7] = upright[::-1, ::-1].swapaxes(0, 1)
+    for orientation, stored in as_stored.items():
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        path = tmp_path / f"{orientation}.jpg"
+        Image.fromarray(np.ascontiguousarray(stored)).save(path, exif=exif, quality=100)
+        read = read_picture(path)
+        assert read.shape == upright.shape
+        np.testing.assert_allclose(read.astype(int), upright, atol=12, err_msg=str(orientation))
+
+
+def test_the_part_of_an_exr_with_colours_is_read(tmp_path: Path) -> None:
+    path = str(tmp_path / "parts.exr")
+    depth, beauty = oiio.ImageSpec(8, 6, 1, "half"), oiio.ImageSpec(8, 6, 3, "half")
+    depth.channelnames, depth["name"], beauty["name"] = ("Z",), "depth", "rgba"
+    output = oiio.ImageOutput.create(path)
+    assert output.open(path, (depth, beauty))
+    output.write_image(np.full((6, 8, 1), 0.9, np.float32))
+    assert output.open(path, beauty, "AppendSubimage")
+    output.write_image(np.tile(np.array([1, 0, 0], np.float32), (6, 8, 1)))
+    output.close()
+    np.testing.assert_array_equal(read_picture(Path(path)), np.tile([255, 0, 0], (6, 8, 1)))
