@@ -24,6 +24,8 @@ from usdface.media.picture.sheet import (
 from usdface.media.picture.sheet_layout import (
     CODE_STYLE,
     DIM_STYLE,
+    GROUP_GAP,
+    PAGE_MARGIN,
     READ_LETTER,
     READ_WIDTH,
     VERDICT_LINE,
@@ -68,6 +70,17 @@ def make_spec(row_count: int = 12, **changes) -> SheetPage:
         tile_height=96,
     )
     return dataclasses.replace(spec, **changes)
+
+
+def test_a_long_head_of_a_column_leaves_the_others_as_they_are() -> None:
+    short, long = (
+        compose_sheet(make_spec(columns=(name, *COLUMNS[1:]))) for name in ("a", "camera " * 30)
+    )
+    differing = np.flatnonzero((short != long).any(axis=(0, 2)))
+    layout = lay_out(make_spec())
+    blocks = (differing - PAGE_MARGIN) // (layout.group_width + GROUP_GAP)
+    within = differing - PAGE_MARGIN - blocks * (layout.group_width + GROUP_GAP)
+    assert within.max() <= layout.column_widths[0] + 2
 
 
 def test_every_tile_is_on_the_sheet_unchanged() -> None:

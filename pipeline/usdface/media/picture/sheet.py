@@ -63,6 +63,8 @@ HEADER_HEIGHT = header_height()
 _TITLE_STYLE = TextStyle(size=40, color=BRIGHT, weight="bold")
 _FACTS_STYLE = TextStyle(size=20, color=DIM)
 _COLUMN_STYLE = TextStyle(size=21, color=SOFT, weight="bold")
+_SMALLEST_HEAD = 0.6
+"""[of its size] to which a long head of a column is made smaller before it is shortened."""
 _VALUE_STYLE = TextStyle(size=21, color=TEXT)
 _BEST_STYLE = TextStyle(size=21, color=(255, 255, 255), weight="bold")
 
@@ -169,12 +171,11 @@ def _draw_group(
     """Draw a block of rows below its column heads."""
     y, style = layout.head_height, _COLUMN_STYLE.scaled(layout.scale)
     heads = list(zip(spec.columns, layout.column_widths, strict=True))
-    style = style.scaled(
-        min(1.0, *((width - 4) / text_width(label, style) for label, width in heads))
-    )
     at = x
     for label, width in heads:
-        draw_text(page, label, x=at + 2, y=y, style=style, max_width=width)
+        share = (width - 4) / max(text_width(label, style), 1)
+        fitted = style.scaled(min(max(share, _SMALLEST_HEAD), 1.0))
+        draw_text(page, label, x=at + 2, y=y, style=fitted, max_width=width)
         at += width + TILE_GUTTER
     y += layout.column_head
     fill_box(page, x, y - 4, layout.group_width, 1, RULE)
