@@ -518,6 +518,13 @@ def test_a_binding_of_another_surface_is_refused(folder: Path, scan: Scan) -> No
     stage.Save()
     with pytest.raises(InputError, match="was made on another surface"):
         run(deform(folder))
+    stage = Usd.Stage.Open(str(corrected_path(folder / "scan.binding.usda")))
+    prim = stage.OverridePrim("/Binding/Markers/skin_5_10")
+    prim.CreateAttribute("face:binding:face", Sdf.ValueTypeNames.Int).Set(5)
+    stage.GetRootLayer().Save()
+    (folder / "scan.binding.usda").unlink()
+    with pytest.raises(InputError, match=r"corrects markers of scan\.binding\.usda, which is gone"):
+        run(bind(folder, scan))
 
 
 def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:

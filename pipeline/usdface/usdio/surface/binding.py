@@ -279,7 +279,13 @@ def _value(prim: Usd.Prim, name: str) -> object:
 
 
 def has_binding(path: Path) -> bool:
-    """Whether a file exists and is a binding."""
+    """Whether a file exists and is a binding; refuse corrections of one that is gone."""
+    corrections = corrected_path(path)
+    if not path.is_file() and has_corrections(corrections):
+        raise InputError(
+            f"{corrections}: corrects markers of {path.name}, which is gone, so that its surface "
+            f"is unknown; put {path.name} back, or remove the corrections"
+        )
     if not path.is_file():
         return False
     layer = open_layer(path)  # keep a reference: specs do not outlive their layer
