@@ -137,6 +137,20 @@ def test_shapes_that_no_mesh_has_are_named(tmp_path: Path) -> None:
     assert "2 shapes are on no mesh: blink, jaw" in only(path, "Names").message
 
 
+def test_shapes_that_only_another_character_has_are_on_no_mesh(tmp_path: Path) -> None:
+    path = write(tmp_path, WEIGHTS[:4])
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    for name in ("anna", "bert"):
+        define_reference_prim(shot, Sdf.Path(f"/{name}"), f"./{path.name}", "/Hero")
+    skin = Sdf.CreatePrimInLayer(shot, "/bert/geo/skin")
+    renamed = Sdf.AttributeSpec(skin, "skel:blendShapes", Sdf.ValueTypeNames.TokenArray)
+    renamed.default = Vt.TokenArray(["jawOpen", "eyeBlink", "grin"])
+    shot.Save()
+    found = only(Path(shot.realPath), "Names")
+    assert found.where == f"{shot.realPath} </bert/FaceSolve>"
+    assert found.message.startswith("1 shapes are on no mesh: smile")
+
+
 def test_a_mesh_below_a_group_without_a_type_does_not_move(tmp_path: Path) -> None:
     path = write(tmp_path)
 

@@ -99,14 +99,15 @@ def _still(animation: Usd.Prim) -> Iterator[Fault]:
     stage = animation.GetStage()
     for root in filter(UsdSkel.Root, stage.Traverse(Usd.TraverseInstanceProxies())):
         for path, reason in still_meshes(UsdSkel.Root(root)).items():
-            if _follows(UsdSkel.BindingAPI(stage.GetPrimAtPath(path)), animation):
+            if _followed(UsdSkel.BindingAPI(stage.GetPrimAtPath(path))) == animation.GetPath():
                 yield Fault.error(path, reason)
 
 
-def _follows(mesh: UsdSkel.BindingAPI, animation: Usd.Prim) -> bool:
+def _followed(mesh: UsdSkel.BindingAPI) -> Sdf.Path | None:
+    """Return the animation that a mesh follows."""
     skeleton = mesh.GetInheritedSkeleton()
     source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource() if skeleton else None
-    return bool(source and source.GetPath() == animation.GetPath())
+    return source.GetPath() if source else None
 
 
 def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]]:
@@ -117,7 +118,7 @@ def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]
         shapes = names_in(binding.GetBlendShapesAttr())
         if not names.intersection(shapes) or names.issuperset(shapes):
             continue
-        if _follows(binding, animation):
+        if _followed(binding) == animation.GetPath():
             skipped[prim.GetName()] = [shape for shape in shapes if shape not in names]
     return skipped
 
@@ -141,21 +142,24 @@ def check_instances(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
-    """Return the shapes on the stage's meshes, and whether a skeleton follows the animation.
+    """Return the shapes on its meshes, and whether a skeleton follows the animation.
 
-    True as well for an animation of the rig itself that a solve replaces.
+    Those of all meshes if none follows it. True as well for an animation of the rig itself that a
+    solve replaces.
     """
-    on_meshes: set[str] = set()
+    of_others, on_meshes = set[str](), set[str]()
     followed = False
     for prim in animation.GetStage().Traverse(Usd.TraverseInstanceProxies()):
         binding = UsdSkel.BindingAPI(prim)
-        on_meshes.update(names_in(binding.GetBlendShapesAttr()))
+        if shapes := names_in(binding.GetBlendShapesAttr()):
+            alone = _followed(binding) in (None, animation.GetPath())
+            (on_meshes if alone else of_others).update(shapes)
         if prim.IsA(UsdSkel.Skeleton):
             source = binding.GetInheritedAnimationSource()
             if source:
                 replaced = is_solved(source.GetPrim()) and not is_solved(animation)
                 followed |= replaced or source.GetPath() == animation.GetPath()
-    return on_meshes, followed
+    return on_meshes or of_others, followed
 
 
 def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
