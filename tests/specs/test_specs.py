@@ -132,7 +132,6 @@ def test_a_word_that_yaml_reads_as_a_boolean_needs_quotes(tmp_path: Path) -> Non
         ("mirrored: no", "mirrored: it can be labels, axes, no; in quotes, as"),
         ("performer: no", f"performer: give a text; {quote}"),
         ("video: 1.10", f"video: give the path of a file; {quote}"),
-        ("neutral: on", r"neutral: give a number \(got True\)"),
     ):
         text = f"{{step: ingest, sources: [a.c3d], out: b.usda, {option}}}"
         with pytest.raises(InputError, match=told):

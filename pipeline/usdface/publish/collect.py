@@ -75,8 +75,6 @@ def collect_performances(paths: Iterable[Path]) -> tuple[PublishItem, ...]:
 
 def collect_performance(path: Path) -> PublishItem:
     """Return one performance as an item to publish."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; check the path")
     reader = PerformanceReader(path)
     rig, _ = reader.rig()
     return PublishItem(

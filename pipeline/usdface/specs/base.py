@@ -72,10 +72,6 @@ def _marks_within(annotation: Any) -> list[Any]:
     return marks
 
 
-def _is_number(annotation: Any) -> bool:
-    return annotation in (int, float) or any(map(_is_number, get_args(annotation)))
-
-
 @cache
 def _marks(spec: type["Spec"]) -> list[tuple[str, Any]]:
     """Return the marks of a spec's fields, with the field of each."""
@@ -154,16 +150,6 @@ class Spec(BaseModel):
     """Options without effect if one of the others is given. Refused together."""
 
     step: str
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_word_is_a_number(cls, given: Any) -> Any:
-        """Refuse true and false as numbers: YAML reads the words yes, no, on and off so."""
-        for name, value in given.items() if isinstance(given, dict) else ():
-            field = cls.model_fields.get(name)
-            if isinstance(value, bool) and field and _is_number(field.annotation):
-                raise ValueError(f"{name}: give a number (got {value})")
-        return given
 
     @model_validator(mode="after")
     def _no_option_is_ignored(self) -> Self:

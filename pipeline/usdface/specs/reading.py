@@ -164,8 +164,8 @@ LARGEST_SPEC_BYTES = 16 << 20
 MOST_VALUES = 1_000_000
 """Limit of values; YAML aliases can expand a few lines to billions."""
 
-_OTHER_BASES = {8: re.compile(r"[-+]?0[0-7_]+"), 60: re.compile(r".*:.*")}
-"""Numbers that YAML reads with another base than 10."""
+_OTHER_BASE = re.compile(r"[-+]?0[0-7_]+|.*:.*")
+"""A number that YAML reads with base 8 or 60."""
 
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
@@ -256,17 +256,18 @@ def _count_values(node: "yaml.Node | None", counts: dict[int, int]) -> int:
     """Return the number of values that a node stands for.
 
     Refuses too many, keys given twice in one table, of which YAML would use the last, and numbers
-    of `_OTHER_BASES`.
+    that YAML reads with another base than 10.
     """
     import yaml
 
-    if node and node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
-        for base in [each for each in _OTHER_BASES if _OTHER_BASES[each].fullmatch(node.value)]:
-            problem = (
-                f"YAML reads {node.value} with base {base}; write a number with base 10 and no 0 "
-                "before it, or quote it if it is text"
-            )
-            raise yaml.MarkedYAMLError(None, None, problem, node.start_mark)
+    numbers = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+    if node and node.tag in numbers and _OTHER_BASE.fullmatch(node.value):
+        base = 60 if ":" in node.value else 8
+        problem = (
+            f"YAML reads {node.value} with base {base}; write a number with base 10 and no 0 "
+            "before it, or quote it if it is text"
+        )
+        raise yaml.MarkedYAMLError(None, None, problem, node.start_mark)
     if not isinstance(node, yaml.CollectionNode):
         return 1
     if id(node) in counts:  # aliases share nodes

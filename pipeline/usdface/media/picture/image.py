@@ -228,18 +228,6 @@ def encode_image(
     return stream.getvalue()
 
 
-_ORIENTATIONS = {
-    2: (True, 0),
-    3: (False, 2),
-    4: (True, 2),
-    5: (True, 1),
-    6: (False, -1),
-    7: (True, -1),
-    8: (False, 1),
-}
-"""Whether a picture of an EXIF orientation is mirrored, and then its quarter turns to the left."""
-
-
 def read_picture(path: Path) -> ByteImage:
     """Read a picture as (height, width, 3) sRGB bytes, upright.
 
@@ -251,8 +239,9 @@ def read_picture(path: Path) -> ByteImage:
     if source is None:
         raise InputError(f"{path}: cannot be read as a picture ({reason_of(oiio)})")
     linear = path.suffix.lower() == ".exr"
-    if linear:
-        _seek_colours(source)
+    parts = range(source.spec().get_int_attribute("oiio:subimages", 1) if linear else 0)
+    names = [set(source.spec(part, 0).channelnames) for part in parts]
+    source.seek_subimage(next((n for n, each in enumerate(names) if each >= {*"RGB"}), 0), 0)
     spec = source.spec()
     width, height = max(spec.width, spec.full_width), max(spec.height, spec.full_height)
     if width * height * spec.nchannels > MAX_VALUES:
@@ -270,24 +259,15 @@ def read_picture(path: Path) -> ByteImage:
         )
     pixels = pixels[..., [0, 0, 0] if pixels.shape[2] < 3 else [0, 1, 2]]
     if not linear:
-        mirrored, turns = _ORIENTATIONS.get(spec.get_int_attribute("Orientation"), (False, 0))
-        return np.ascontiguousarray(np.rot90(pixels[:, ::-1] if mirrored else pixels, turns))
-    shown = np.zeros((spec.full_height, spec.full_width, 3), np.float32)
+        shown = oiio.ImageBuf(np.ascontiguousarray(pixels))
+        shown.orientation = spec.get_int_attribute("Orientation", 1)
+        return np.asarray(oiio.ImageBufAlgo.reorient(shown).get_pixels(oiio.UINT8))
+    window = np.zeros((spec.full_height, spec.full_width, 3), np.float32)
     left, top = spec.x - spec.full_x, spec.y - spec.full_y
     x0, x1 = np.clip((left, left + spec.width), 0, spec.full_width)
     y0, y1 = np.clip((top, top + spec.height), 0, spec.full_height)
-    shown[y0:y1, x0:x1] = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
-    return bytes_from_linear(shown)
-
-
-def _seek_colours(source: Any) -> None:
-    """Go to the first part of an EXR that has colours, or else to the first."""
-    part = 0
-    while source.seek_subimage(part, 0):
-        if {"R", "G", "B"} <= set(source.spec().channelnames):
-            return
-        part += 1
-    source.seek_subimage(0, 0)
+    window[y0:y1, x0:x1] = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
+    return bytes_from_linear(window)
 
 
 def reason_of(source: Any) -> str:

@@ -165,15 +165,12 @@ def _changes(
 
 def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) -> IntArray:
     """Return (frame number, row of the table) of the common frames."""
-    pairs = [
-        (frame, row)
-        for row, frame in enumerate(table.frames)
-        if reader.first_frame <= frame <= reader.last_frame
-    ]
-    if not pairs:
+    frames = np.array(table.frames, dtype=np.int64)
+    rows = np.flatnonzero((frames >= reader.first_frame) & (frames <= reader.last_frame))
+    if not len(rows):
         raise InputError(
             f"{spec.changed} (frames {min(table.frames)}-{max(table.frames)}) and "
             f"{spec.performance} (frames {reader.first_frame}-{reader.last_frame}) have no common "
             "frame; if the animation was shifted in the other tool, shift it back"
         )
-    return np.array(pairs, dtype=np.int64)
+    return np.stack([frames[rows], rows], axis=1)

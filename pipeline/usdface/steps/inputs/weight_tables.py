@@ -203,12 +203,7 @@ def read_weight_table(
         if exported is not None:
             return _exported_table(exported, known, clamped=blender)
         reader = PerformanceReader(path)
-        weights = reader.edited().astype(np.float64)
-        numbers = tuple(reader.frames.tolist())
-        between = int(reader.between_frames.sum())
-        return WeightTable(
-            reader.names, numbers, weights, reader.rate, reader.keyed_frames, between
-        )
+        return _table_of_usd(reader, reader.names, reader.edited().astype(np.float64))
     return _table_of(path, unit, shapes, take)
 
 
@@ -285,19 +280,30 @@ def _exported_table(
     made = Counter(each for name in known for each in set(blender_names(name)))
     real = {each: name for name in known for each in blender_names(name) if made[each] == 1}
     names = tuple(real.get(name, name) for name in exported.names)
-    return WeightTable(
-        names,
-        exported.frames,
-        np.stack([curves[0].values for curves in exported.curves], axis=1),
-        None if clamped else exported.rate,  # Blender imports time codes as frames at any rate
-        exported.keyed,
-        exported.between,
-        tuple(curves[0].mesh for curves in exported.curves),
-        {
+    weights = np.stack([curves[0].values for curves in exported.curves], axis=1)
+    table = _table_of_usd(exported.reader, names, weights)
+    return replace(
+        table,
+        rate=None if clamped else table.rate,  # Blender imports time codes as frames at any rate
+        meshes=tuple(curves[0].mesh for curves in exported.curves),
+        other_meshes={
             name: {curve.mesh: curve.values for curve in curves[1:]}
             for name, curves in zip(names, exported.curves, strict=True)
         },
         clamped=clamped,
+    )
+
+
+def _table_of_usd(
+    reader: PerformanceReader, names: tuple[str, ...], weights: FloatArray
+) -> WeightTable:
+    return WeightTable(
+        names,
+        tuple(reader.frames.tolist()),
+        weights,
+        reader.rate,
+        reader.keyed_frames,
+        int(reader.between_frames.sum()),
     )
 
 

@@ -1,5 +1,6 @@
 """Propose pairs of corresponding expressions of two characters; list pairs of their shapes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from usdface.capture.sniff import recognise_format
 from usdface.capture.weight_samples import read_weight_samples
 from usdface.capture.weight_table import read_weight_take
 from usdface.core.assets import Rig, range_ends
-from usdface.core.controls import Controls, ExpressionPairs, shape_controls
+from usdface.core.controls import Controls, ExpressionPairs
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
@@ -208,29 +209,19 @@ def _pairs(
     *,
     by_table: bool,
 ) -> ExpressionPairs:
-    count = len(matches) + 1
     left = expression_rows([(), *(match.source for match in matches)], shapes)
     right = expression_rows([(), *(match.target for match in matches)], target.shapes)
     low, high = target.ranges.T
     if not by_table:  # full expressions, some at negative weights; a table states its weights
         left *= 1.0 if source is None else np.sign(range_ends(source.ranges))
         right *= np.sign(range_ends(target.ranges))
-    controls = shape_controls(
-        target.shapes, np.clip(right, np.minimum(low, 0), np.maximum(high, 0))
-    )
     return ExpressionPairs(
         names=(REST_PAIR, *(match.name for match in matches)),
         source_shapes=shapes,
         source=left,
-        target=Controls(
-            shapes=controls.shapes,
-            weights=controls.weights,
-            joints=rest.joints,
-            translations=np.repeat(rest.translations, count, axis=0),
-            rotations=np.repeat(rest.rotations, count, axis=0),
-            scales=np.repeat(rest.scales, count, axis=0),
-            attributes=rest.attributes,
-            values=np.repeat(rest.values, count, axis=0),
+        target=replace(
+            rest.rows([0] * len(right)),
+            weights=np.clip(right, np.minimum(low, 0), np.maximum(high, 0)),
         ),
         source_rig=source.file if source else None,
         source_prim=source.prim if source else "",

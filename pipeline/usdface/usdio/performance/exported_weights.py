@@ -8,7 +8,6 @@ they have a common armature. Maya names channels after mesh, deformer and shape:
 
 import re
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +42,8 @@ class ExportedWeights:
     """Of the BlendShape prims: identifiers (`blender_names`)."""
     curves: tuple[tuple[MeshCurve, ...], ...]
     """By shape; the mesh with the most shapes first."""
-    frames: tuple[int, ...]
-    rate: Fraction
-    keyed: frozenset[int]
-    between: int
-    """Samples between frames."""
+    reader: PerformanceReader
+    """Of the first animation; all have the same frames."""
 
 
 def blender_names(name: str) -> tuple[str, str]:
@@ -100,14 +96,7 @@ def read_exported_weights(path: Path) -> ExportedWeights | None:
             curves.setdefault(shape, []).append(MeshCurve(mesh_name, column))
     if not curves:
         return None
-    return ExportedWeights(
-        tuple(curves),
-        tuple(map(tuple, curves.values())),
-        tuple(first.frames.tolist()),
-        first.rate,
-        first.keyed_frames,
-        int(first.between_frames.sum()),
-    )
+    return ExportedWeights(tuple(curves), tuple(map(tuple, curves.values())), first)
 
 
 def _identifier(name: str) -> str:
