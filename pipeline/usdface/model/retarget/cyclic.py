@@ -59,9 +59,6 @@ class CyclicVariant:
     """Whether kernel CCA uses its published lines."""
 
 
-DEFAULT_VARIANT = CyclicVariant()
-
-
 class SurfaceMetric:
     """Distance between a rig's surfaces under two sets of weights."""
 
@@ -105,7 +102,7 @@ def evaluate_cyclic(
     rig: Rig,
     target_rig: Rig,
     shape_ranges: FloatArray | None = None,
-    variant: CyclicVariant = DEFAULT_VARIANT,
+    variant: CyclicVariant,
     progress: Progress = silent,
 ) -> tuple[CyclicError, ...]:
     """Retarget a performance to the target and back by several methods.

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array
+from usdface.core.arrays import Float32Array, frame_blocks
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_of, timecode_of
@@ -102,14 +102,13 @@ def sound_between(
 ) -> Float32Array:
     """Return a take's sound between two take times [s], padded with silence."""
     samples = np.zeros(round((last - first) * rate), np.float32)
-    for start in range(0, len(samples), _BLOCK_SAMPLES):
-        block = samples[start : start + _BLOCK_SAMPLES]
-        times = first + np.arange(start, start + len(block)) / rate
+    for block in frame_blocks(len(samples), frames=_BLOCK_SAMPLES):
+        times = first + np.arange(block.start, block.stop) / rate
         if take.audio is None and take.video is not None:
             times = take.video.video_time(times)
         at = times * rate
         low, high = (max(int(end), 0) for end in (at[0], at[-1]))
         near = recorded[low : high + 2]
         if len(near):
-            block[:] = np.interp(at - low, np.arange(len(near)), near, left=0.0, right=0.0)
+            samples[block] = np.interp(at - low, np.arange(len(near)), near, left=0.0, right=0.0)
     return samples

@@ -280,13 +280,12 @@ def _value(prim: Usd.Prim, name: str) -> object:
 
 def has_binding(path: Path) -> bool:
     """Whether a file exists and is a binding; refuse corrections of one that is gone."""
-    corrections = corrected_path(path)
-    if not path.is_file() and has_corrections(corrections):
-        raise InputError(
-            f"{corrections}: corrects markers of {path.name}, which is gone, so that its surface "
-            f"is unknown; put {path.name} back, or remove the corrections"
-        )
     if not path.is_file():
+        if has_corrections(corrections := corrected_path(path)):
+            raise InputError(
+                f"{corrections}: corrects markers of {path.name}, which is gone, so that its "
+                f"surface is unknown; put {path.name} back, or remove the corrections"
+            )
         return False
     layer = open_layer(path)  # keep a reference: specs do not outlive their layer
     spec = layer.GetPrimAtPath(_ROOT)
