@@ -13,9 +13,12 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.text import pluralize
+from usdface.numerics.motion.rotation_space import rotation_vectors, rotations_at
 
 JOINT_WIDTH = 9
 """Coordinates of a joint: translation, rotation vector, logarithm of its scale."""
+
+_SMALLEST_SCALE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -145,19 +148,65 @@ class RetargetScore:
 
 
 @dataclass(frozen=True)
-class Retargeting:
-    """A trained function from source weights to a target's control vector."""
+class ControlSpace:
+    """Coordinates of controls for regression: their names, and rotations that are zero vectors.
 
-    method: str
-    source_shapes: tuple[str, ...]
+    Weights and attributes are used as they are. A joint's rotation becomes the rotation vector
+    relative to a mean, its scale the logarithm of its size, so that any linear combination is a
+    valid rotation and a scale of the same sign.
+    """
+
     shapes: tuple[str, ...]
     joints: tuple[str, ...]
     attributes: tuple[str, ...]
-    """`shapes`, `joints`, `attributes`: Of the target."""
     mean_rotations: FloatArray
-    """(joints, 4): mean rotations, about which rotations are vectors; w first."""
+    """(joints, 4): w first."""
     scale_signs: FloatArray
     """(joints, 3): -1 for the scales of mirrored joints, else 1."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each coordinate, for messages."""
+        parts = [f"{kind}{axis}" for kind in ("translate", "rotate", "scale") for axis in "XYZ"]
+        return (
+            *self.shapes,
+            *(f"{joint}.{each}" for joint in self.joints for each in parts),
+            *self.attributes,
+        )
+
+    def encode(self, controls: Controls) -> FloatArray:
+        """Return coordinates, (n, width), of controls with the names of the space."""
+        scales = np.log(np.maximum(self.scale_signs * controls.scales, _SMALLEST_SCALE))
+        vectors = rotation_vectors(controls.rotations, self.mean_rotations)
+        joints = np.concatenate([controls.translations, vectors, scales], axis=-1)
+        count = len(controls)
+        return np.concatenate(
+            [controls.weights, joints.reshape(count, -1), controls.values], axis=1
+        )
+
+    def decode(self, coordinates: FloatArray) -> Controls:
+        """Return the controls at coordinates: (n, width) float array."""
+        count, first = len(coordinates), len(self.shapes)
+        last = first + JOINT_WIDTH * len(self.joints)
+        joints = coordinates[:, first:last].reshape(count, len(self.joints), JOINT_WIDTH)
+        return Controls(
+            shapes=self.shapes,
+            weights=coordinates[:, :first],
+            joints=self.joints,
+            translations=joints[..., :3],
+            rotations=rotations_at(joints[..., 3:6], self.mean_rotations),
+            scales=self.scale_signs * np.exp(joints[..., 6:]),
+            attributes=self.attributes,
+            values=coordinates[:, last:],
+        )
+
+
+@dataclass(frozen=True)
+class Retargeting(ControlSpace):
+    """A trained function from source weights to a target's control vector, in its coordinates."""
+
+    method: str
+    source_shapes: tuple[str, ...]
     rest: FloatArray
     """(k,): coordinates of the control vector at the source's nearest pair to rest."""
     ranges: FloatArray

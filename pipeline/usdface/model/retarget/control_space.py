@@ -1,74 +1,14 @@
-"""Conversion of controls to coordinates for regression, and checks of expression pairs.
-
-Weights and attributes are used as they are. A joint's rotation becomes the rotation vector relative
-to the mean over the pairs, its scale the logarithm of its size, so that any linear combination is a
-valid rotation and a scale of the same sign.
-"""
+"""The coordinates of pairs of expressions for regression, and checks of these."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, relative_distances
-from usdface.core.controls import JOINT_WIDTH, Controls, ExpressionPairs
+from usdface.core.arrays import BoolArray, relative_distances
+from usdface.core.controls import Controls, ControlSpace, ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.numerics.measure.face_regions import gaze_shapes, mirrored_shapes
-from usdface.numerics.motion.rotation_space import (
-    mean_rotation,
-    rotation_vectors,
-    rotations_at,
-)
-
-_SMALLEST_SCALE = 1e-6
-
-
-@dataclass(frozen=True)
-class ControlSpace:
-    """Names of the controls, and the rotations that map to zero vectors."""
-
-    shapes: tuple[str, ...]
-    joints: tuple[str, ...]
-    attributes: tuple[str, ...]
-    mean_rotations: FloatArray
-    """(joints, 4): w first."""
-    scale_signs: FloatArray
-    """(joints, 3): -1 for the scales of mirrored joints, else 1."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of each coordinate, for messages."""
-        parts = [f"{kind}{axis}" for kind in ("translate", "rotate", "scale") for axis in "XYZ"]
-        return (
-            *self.shapes,
-            *(f"{joint}.{each}" for joint in self.joints for each in parts),
-            *self.attributes,
-        )
-
-    def encode(self, controls: Controls) -> FloatArray:
-        """Return coordinates, (n, width), of controls with the names of the space."""
-        scales = np.log(np.maximum(self.scale_signs * controls.scales, _SMALLEST_SCALE))
-        vectors = rotation_vectors(controls.rotations, self.mean_rotations)
-        joints = np.concatenate([controls.translations, vectors, scales], axis=-1)
-        count = len(controls)
-        return np.concatenate(
-            [controls.weights, joints.reshape(count, -1), controls.values], axis=1
-        )
-
-    def decode(self, coordinates: FloatArray) -> Controls:
-        """Return the controls at coordinates: (n, width) float array."""
-        count, first = len(coordinates), len(self.shapes)
-        last = first + JOINT_WIDTH * len(self.joints)
-        joints = coordinates[:, first:last].reshape(count, len(self.joints), JOINT_WIDTH)
-        return Controls(
-            shapes=self.shapes,
-            weights=coordinates[:, :first],
-            joints=self.joints,
-            translations=joints[..., :3],
-            rotations=rotations_at(joints[..., 3:6], self.mean_rotations),
-            scales=self.scale_signs * np.exp(joints[..., 6:]),
-            attributes=self.attributes,
-            values=coordinates[:, last:],
-        )
+from usdface.numerics.motion.rotation_space import mean_rotation
 
 
 def control_space(controls: Controls) -> ControlSpace:

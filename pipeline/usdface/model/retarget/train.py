@@ -11,19 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import Arrays, FloatArray, sample_frames
-from usdface.core.controls import Controls, ExpressionPairs, Retargeting, RetargetScore
+from usdface.core.controls import (
+    Controls,
+    ControlSpace,
+    ExpressionPairs,
+    Retargeting,
+    RetargetScore,
+)
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.model.regressions import RETARGET_METHODS, find_retarget_method
 from usdface.model.regressions.base import Pairs, Settings
 from usdface.model.regressions.hybrid import predict_blended
 from usdface.model.regressions.kernel_cca import PUBLISHED_LINES
-from usdface.model.retarget.control_space import (
-    ControlSpace,
-    check_pairs,
-    control_space,
-    moving_shapes,
-)
+from usdface.model.retarget.control_space import check_pairs, control_space, moving_shapes
 
 PROBE_COUNT = 384
 """Number of mixtures of pairs on which round-trip errors are measured, and of parts of pairs."""
@@ -129,13 +130,9 @@ def train_retargeting(
     tried.sort(key=rank)
     best = tried[0][1]
     return Retargeting(
+        **vars(examples.space),
         method=best.method,
         source_shapes=pairs.source_shapes,
-        shapes=examples.space.shapes,
-        joints=examples.space.joints,
-        attributes=examples.space.attributes,
-        mean_rotations=examples.space.mean_rotations,
-        scale_signs=examples.space.scale_signs,
         rest=examples.target_rest,
         ranges=examples.target_ranges,
         arrays=best.forward
@@ -198,7 +195,7 @@ def unspanned_shares(trained: Retargeting, source: FloatArray) -> FloatArray:
 
 def limited_controls(trained: Retargeting, coordinates: FloatArray) -> Controls:
     """Return the controls at coordinates, within their limits."""
-    return space_of(trained).decode(np.clip(coordinates, *trained.ranges.T))
+    return trained.decode(np.clip(coordinates, *trained.ranges.T))
 
 
 def describe_retargeting_figures(trained: Retargeting) -> dict[str, object]:
@@ -226,17 +223,6 @@ def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
             f"{score.pair_error:.4f} of their range, overshoot {score.overshoot:.0%}",
         )
     return tuple(seen.values())
-
-
-def space_of(trained: Retargeting) -> ControlSpace:
-    """Return the coordinates of a retargeting's controls."""
-    return ControlSpace(
-        trained.shapes,
-        trained.joints,
-        trained.attributes,
-        trained.mean_rotations,
-        trained.scale_signs,
-    )
 
 
 def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = None) -> Examples:

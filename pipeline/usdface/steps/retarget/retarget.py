@@ -19,7 +19,6 @@ from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.train import (
     limited_controls,
     predict_coordinates,
-    space_of,
     unspanned_shares,
 )
 from usdface.model.review.verdict import worst_verdict
@@ -310,7 +309,7 @@ def _unlimited(target: _Target, extremes: FloatArray) -> list[str]:
     """Return a note on controls that exceed their range, or would without limits."""
     names, ranges = target.rig.shapes, target.rig.ranges
     if target.trained is not None:
-        names, ranges = space_of(target.trained).names, target.trained.ranges
+        names, ranges = target.trained.names, target.trained.ranges
         cause = "expressions that add up would drive"
         remedy = (
             "cut there, at the range of rig and pairs: key pairs of such expressions, or a pair "

@@ -9,7 +9,13 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
-from usdface.core.controls import ControlClip, Controls, EmotionalSequence, SequenceMatch
+from usdface.core.controls import (
+    ControlClip,
+    Controls,
+    ControlSpace,
+    EmotionalSequence,
+    SequenceMatch,
+)
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
@@ -24,7 +30,7 @@ from usdface.media.charts.motion_curves import (
 )
 from usdface.media.picture.image import write_image
 from usdface.model.placement.shape_parts import shape_parts
-from usdface.model.retarget.control_space import ControlSpace, control_space
+from usdface.model.retarget.control_space import control_space
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.motion.blink_cuts import keep_blinks
 from usdface.numerics.motion.laplacian_warp import (
