@@ -12,6 +12,7 @@ from usdface.numerics.repair.smoothing import (
     gcv_penalties,
     significant_detail,
     smooth_poses,
+    smooth_take,
     smooth_tracks,
 )
 
@@ -67,6 +68,27 @@ def test_a_rare_movement_comes_back_and_noise_does_not():
     )
     assert np.abs(detail[:, [0, 1, 3]]).max() < 0.2
     assert (detail[:, [0, 1, 3]] == 0).mean() > 0.95
+
+
+def test_expressions_weaker_than_the_noise_stay():
+    rng, noise = np.random.default_rng(0), 0.4
+    shapes = np.linalg.qr(rng.standard_normal((90, 13)))[0].T
+    slow = np.sin(np.arange(2000)[:, None] / rng.uniform(15, 40, 13))
+    truth = slow * np.append(np.full(12, 20.0), 2.0) @ shapes  # the last: 0.2 mm in each coordinate
+    positions = (truth + noise * rng.standard_normal(truth.shape)).reshape(2000, 30, 3)
+    smooth_take(positions, noise=np.full(30, noise))
+    error = positions.reshape(truth.shape) - truth
+    assert error.std() < 0.25 * noise
+    along = positions.reshape(truth.shape) @ shapes[-1]
+    assert along.std() == pytest.approx((truth @ shapes[-1]).std(), rel=0.05)
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_short_takes_are_as_they_were(frames):
+    positions = np.random.default_rng(0).standard_normal((frames, 4, 3))
+    before = positions.copy()
+    smooth_take(positions, noise=np.ones(4))
+    np.testing.assert_allclose(positions, before, atol=1e-12)
 
 
 def test_short_series_are_returned_as_they_are():

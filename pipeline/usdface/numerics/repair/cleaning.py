@@ -115,7 +115,7 @@ def clean_markers(
 
     In this order: head pose from the rigid markers, markers that left the face, swapped labels,
     outliers, head pose from all markers against their predictions, markers that slipped on the
-    skin, gaps, and noise, with a penalty for each direction of the face's motion.
+    skin, gaps, and noise, with a penalty for each principal axis of the frames.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def clean_markers(
         confidence[swap.start : swap.stop, relabelled] *= _RELABELLED_CONFIDENCE
     if smooth:
         progress(0.8, "noise")
-        smooth_take(take.positions, model, noise=noise)
+        smooth_take(take.positions, noise=noise)
     known = good | filled
     progress(1.0, "clean")
     return CleanedMarkers(

@@ -17,9 +17,8 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import FloatArray, RealArray, extend_block, frame_blocks
+from usdface.core.arrays import FloatArray, RealArray, extend_block, frame_blocks, sample_frames
 from usdface.core.processes import map_threads
-from usdface.numerics.repair.low_rank import LowRankModel
 from usdface.numerics.rigid.rigid_alignment import pose_matrices
 
 _DIFFERENCE_ORDER = 3
@@ -36,7 +35,8 @@ _DETAIL_ENERGY_RATIO = 4.0
 """99.99th percentile of the energy of nine frames of smoothed noise, over its mean."""
 DETAIL_REACH = 96
 """[frames] Reach of the light smoother, whose impulse response decays as 0.64 per frame."""
-_DIRECTIONS_AT_ONCE = 8
+_AXES_FRAMES = 20_000
+"""Frames of a take that determine the principal axes."""
 
 
 def smooth_tracks(values: ArrayLike) -> FloatArray:
@@ -71,28 +71,30 @@ def _squared_differences(frames: int) -> FloatArray:
     return bands
 
 
-def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray) -> None:
-    """Smooth whole frames along the model's directions, in place.
+def smooth_take(positions: RealArray, *, noise: FloatArray) -> None:
+    """Smooth whole frames along the principal axes of their motion, in place.
 
-    Blinks, which are below the noise of single coordinates, are above it in few directions.
-    Residuals of the directions are added back where they are significant.
+    Blinks, which are below the noise of single coordinates, are above it along few axes. Each axis
+    has a penalty of its own, so that weak expressions stay. Residuals of the axes are added back
+    where they are significant.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         [mm] Complete, without head motion; changed.
-    model : LowRankModel
-        Fitted to the same take.
     noise : (markers,) float array
         Standard deviation of the measurement noise per coordinate [mm].
     """
     count, kind = len(positions), positions.dtype
     flat = positions.reshape(count, -1)
-    mean, components = model.mean.astype(kind), model.components.astype(kind)
-    scores = np.empty((count, len(components)), kind)
+    sample = flat[sample_frames(count, _AXES_FRAMES)].astype(np.float64)
+    middle = sample.mean(axis=0)
+    sample -= middle
+    mean, components = middle.astype(kind), np.linalg.eigh(sample.T @ sample)[1].T.astype(kind)
+    scores = np.empty_like(flat)
     for block in frame_blocks(count):
         scores[block] = (flat[block] - mean) @ components.T
-    for columns in frame_blocks(len(components), frames=_DIRECTIONS_AT_ONCE):
+    for columns in frame_blocks(len(components), frames=_COLUMNS_AT_ONCE):
         scores[:, columns] = smooth_tracks(scores[:, columns])
     # As other blocks are smoothed in place meanwhile, the frames around a block are copied first.
     parts = [
