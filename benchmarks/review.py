@@ -45,7 +45,7 @@ def run() -> None:
             next(poses), camera=camera, width=size, height=size, quality=quality
         )
 
-    print(f"On {name}: {renderer.point_count:,} points.\n")
+    print(f"On {name}: {len(deformer.neutral):,} points.\n")
     print("| measure | CPU seconds | wanted |")
     print("|---|---|---|")
     print(f"| a face of 512², shadow and occlusion | {_cpu(draw(512, 'final')):.2f} | ≤ 2.5 |")

@@ -57,6 +57,15 @@ def test_noise_is_removed_and_more_of_it_is_smoothed_more(noise):
     assert penalties[1] > penalties[0]
 
 
+def test_series_of_known_noise_alone_are_shrunk_to_their_mean():
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((2000, 200)) + 5
+    left = smooth_tracks(noise, noise=1.0) - noise.mean(axis=0)
+    assert (left**2).mean() < 0.5 * ((smooth_tracks(noise) - noise.mean(axis=0)) ** 2).mean()
+    slow = np.sin(np.arange(2000) / 100)[:, None] + 0.2 * rng.standard_normal((2000, 1))
+    np.testing.assert_allclose(smooth_tracks(slow, noise=0.2), smooth_tracks(slow), atol=0.01)
+
+
 def test_a_rare_movement_comes_back_and_noise_does_not():
     rng = np.random.default_rng(0)
     rest = 0.15 * rng.standard_normal((5000, 4, 3))

@@ -39,25 +39,34 @@ _AXES_FRAMES = 20_000
 """Frames of a take that determine the principal axes."""
 
 
-def smooth_tracks(values: ArrayLike) -> FloatArray:
+def smooth_tracks(values: ArrayLike, *, noise: ArrayLike = 0.0) -> FloatArray:
     """Minimise ``|x - y|² + penalty |third differences of x|²`` for every series (frames, series).
 
     Each with the penalty of least GCV score, in the cosine domain, in which third differences of
     series that are mirrored at their ends are diagonal. The minimum is that of the series alone, by
     its seven diagonals: mirrored, a head that turns at the end of a take would stop there.
+
+    `noise`: standard deviation of the noise of each series, if it is known. Series are then shrunk
+    to their mean by the positive-part James-Stein factor, to nothing where they hold no more than
+    the noise that smoothing leaves.
     """
     y = np.asarray(values)
     frames, count = y.shape
     if frames <= _DIFFERENCE_ORDER:
         return np.array(y, np.float64)
     smooth, bands = np.empty(y.shape), _squared_differences(frames)
+    eigenvalues = difference_eigenvalues(_FREQUENCY_BINS)
+    variances = np.broadcast_to(np.square(noise), count)
     for columns in frame_blocks(count, frames=_COLUMNS_AT_ONCE):
         spectrum = dct(y[:, columns].astype(np.float64), axis=0, norm="ortho")
         penalties = gcv_penalties(spectrum).tolist()
         for column, penalty in enumerate(penalties, start=columns.start):
             matrix = penalty * bands
             matrix[-1] += 1.0
-            smooth[:, column] = solveh_banded(matrix, y[:, column], overwrite_ab=True)
+            track = solveh_banded(matrix, y[:, column], overwrite_ab=True)
+            left = variances[column] * np.mean((1.0 + penalty * eigenvalues) ** -2.0)
+            share = max(0.0, 1.0 - left / max(track.var(), 1e-12))
+            smooth[:, column] = share * track + (1.0 - share) * track.mean()
     return smooth
 
 
@@ -94,8 +103,9 @@ def smooth_take(positions: RealArray, *, noise: FloatArray) -> None:
     scores = np.empty_like(flat)
     for block in frame_blocks(count):
         scores[block] = (flat[block] - mean) @ components.T
+    deviations = np.sqrt(components**2 @ np.repeat(np.square(noise), 3))
     for columns in frame_blocks(len(components), frames=_COLUMNS_AT_ONCE):
-        scores[:, columns] = smooth_tracks(scores[:, columns])
+        scores[:, columns] = smooth_tracks(scores[:, columns], noise=deviations[columns])
     # As other blocks are smoothed in place meanwhile, the frames around a block are copied first.
     parts = [
         (block, wide, flat[wide.start : block.start].copy(), flat[block.stop : wide.stop].copy())
