@@ -24,7 +24,8 @@ from usdface.speech.forced_alignment import spoken_words
 from usdface.speech.phones import PhoneTrack, Span
 from usdface.speech.pronunciation import read_dictionary
 from usdface.speech.track_files import read_phone_track, write_phone_track
-from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
+from usdface.steps.inputs.alpha_keys import read_alpha
+from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.surface.make_shapes import _from_csv
 
 TRACK = PhoneTrack(

@@ -19,7 +19,7 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.base import Choices
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
-from usdface.steps.inputs.weight_tables import read_alpha
+from usdface.steps.inputs.alpha_keys import read_alpha
 from usdface.steps.performance.map import predict_with_keyed_blend
 
 RATE = Fraction(60)

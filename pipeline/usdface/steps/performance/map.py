@@ -33,10 +33,10 @@ from usdface.numerics.rigid.rigid_alignment import pose_matrices
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
+from usdface.steps.inputs.alpha_keys import read_alpha
 from usdface.steps.inputs.cleaned_takes import read_markers_at, take_head_space
 from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.solve_verdict import evidence_of, with_verdict
-from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.driving_layers import write_head_layer
 from usdface.usdio.performance.read import PerformanceReader

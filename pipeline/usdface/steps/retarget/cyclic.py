@@ -32,8 +32,9 @@ from usdface.model.retarget.cyclic import (
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import METHODS, CyclicSpec
+from usdface.steps.inputs.alpha_keys import read_alpha
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
-from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
+from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.retarget.train import pair_notes, target_ranges
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.rig.read import read_rig

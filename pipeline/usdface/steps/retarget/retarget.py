@@ -25,6 +25,7 @@ from usdface.model.review.verdict import worst_verdict
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
+from usdface.steps.inputs.alpha_keys import read_alpha
 from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.head_drive import named_targets, take_head_source, weights_head_source
 from usdface.steps.inputs.solve_verdict import judge_performance, with_verdict
@@ -35,7 +36,6 @@ from usdface.steps.inputs.source_motion import (
     source_transfer,
     unmatched_moving,
 )
-from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.performance.driving_layers import write_head_layer
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, append_rig_shapes, make_header
