@@ -27,7 +27,7 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS
 from usdface.numerics.regression.cross_validation import surface_rms_mm
 from usdface.numerics.regression.reference_design import design_gp_variance, whiten
-from usdface.numerics.repair.smoothing import smooth_tracks
+from usdface.numerics.repair.smoothing import smooth_take
 from usdface.usdio.rig.read import read_rig
 
 Performer = tuple[str, int, int, float]
@@ -283,12 +283,10 @@ def clean_motion(
     noise_mm: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return markers on saturating skin, with noise, smoothed along the motion."""
+    """Return markers on saturating skin, with noise, smoothed as `clean` does."""
     moved = np.einsum("fs,smc->fmc", weights, basis, optimize=True)
     far = np.linalg.norm(moved, axis=2, keepdims=True)
     moved *= limit * np.tanh(far / limit) / np.maximum(far, 1e-9)
-    packed = (moved + noise_mm * rng.standard_normal(moved.shape)).reshape(len(moved), -1)
-    mean = packed.mean(axis=0)
-    directions = np.linalg.eigh(np.cov((packed - mean).T))[1][:, ::-1][:, :40]
-    smooth = smooth_tracks((packed - mean) @ directions)
-    return (smooth @ directions.T + mean).reshape(moved.shape) + places
+    positions = places + moved + noise_mm * rng.standard_normal(moved.shape)
+    smooth_take(positions, noise=np.full(len(places), noise_mm))
+    return positions
