@@ -64,6 +64,7 @@ def check(found: dict[str, Tally]) -> None:
     assert ended <= max(1, MOST_ENDED * sum(tally.ends.total() for tally in found.values())), told
 
 
+@pytest.mark.slow
 def test_some_hundred_damaged_layers_and_packages_are_read_or_refused(
     reader: LayerReader, tmp_path: Path
 ) -> None:

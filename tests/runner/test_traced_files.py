@@ -31,6 +31,7 @@ def sheet(shot: Shot, **options: object) -> SheetSpec:
     )
 
 
+@pytest.mark.slow
 def test_a_sheet_is_out_of_date_once_the_take_that_it_found_has_changed(shot: Shot) -> None:
     spec = sheet(shot)
     execute(spec)

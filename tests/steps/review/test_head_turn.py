@@ -127,6 +127,7 @@ def test_a_phones_channels_turn_it_without_markers(shot: Shot, channel: str) -> 
     assert np.arctan2(abs(forward[0]), forward[2]) == pytest.approx(0.5, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_markers_of_the_report_turn_with_the_head(shot: Shot, browser: Any) -> None:
     give_video(shot)
     frames = f"{TURNED - 5}-{TURNED + 5}"

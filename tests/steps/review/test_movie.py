@@ -182,6 +182,7 @@ def test_the_timecode_burnt_in_is_that_of_the_file(shot: Shot, monkeypatch) -> N
     assert burnt[-3] == "01:00:00:24  100"  # a rate without labels: the take's own
 
 
+@pytest.mark.slow
 def test_two_processes_draw_what_one_draws(shot: Shot) -> None:
     execute(spec_of(shot, "one.mp4", frames="20-33"))
     execute(spec_of(shot, "two.mp4", frames="20-33", workers=2))

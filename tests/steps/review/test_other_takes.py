@@ -49,7 +49,7 @@ def make_phone_take(shot: Shot, *, video: bool) -> None:
     write_take(path, weights, provenance=Provenance())
 
 
-@pytest.mark.parametrize("video", [True, False])
+@pytest.mark.parametrize("video", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_takes_of_weights_are_reviewed(shot: Shot, video: bool) -> None:
     make_phone_take(shot, video=video)
     hero = shot / "shot.hero.usda"

@@ -86,6 +86,7 @@ def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> N
     assert most <= 101, "a page and the one before it, not all of them"
 
 
+@pytest.mark.slow
 def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
     (shot / "b").mkdir()
     other = shot / "b/shot.hero.usda"
