@@ -36,6 +36,8 @@ def names() -> tuple[str, ...]:
         ("mouthPucker", "mouth"),
         ("lipCornerPuller", "mouth"),
         ("jawOpen", "jaw"),
+        ("jawSlide_L", "jaw"),
+        ("mouthSlideR", "mouth"),
         ("eyeLookInLeft", ""),
         ("tongueOut", ""),
         ("AU12", ""),

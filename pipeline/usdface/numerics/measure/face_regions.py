@@ -105,6 +105,9 @@ _WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("jaw", ("jaw", "chin")),
 )
 
+_NO_PARTS = re.compile("slide|flip")
+"""Words that contain a lid and a lip."""
+
 _LEAST_MOTION = 0.1
 """[of a shape's largest displacement] Least for a point to belong to the shape's region."""
 
@@ -114,7 +117,7 @@ _CARRIED = {"jaw": 0.85}
 
 def region_of_shape(name: str) -> str:
     """Return the region of the face in a shape's name, or an empty string."""
-    lowered = name.lower()
+    lowered = _NO_PARTS.sub("", name.lower())
     for region, words in _WORDS:
         if any(word in lowered for word in words):
             return region
