@@ -139,8 +139,8 @@ def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     inches = face.positions * 25.4
     with pytest.raises(InputError, match=r"25.4 times those of .* another unit; .*--units"):
         align_markers(mapping, markers_of(face, positions=inches.astype(np.float32)), rate=60.0)
-    larger = face.positions * 1.3
-    with pytest.raises(InputError, match=r"distance is 1.3 times .* 0.769 times its --scale") as no:
+    larger = face.positions * 1.6  # no unit is
+    with pytest.raises(InputError, match=r"distance is 1.6 times .* 0.625 times its --scale") as no:
         align_markers(mapping, markers_of(face, positions=larger.astype(np.float32)), rate=60.0)
     assert re.search(
         "mm from those of the takes it is compared with .*another performer: select and train",

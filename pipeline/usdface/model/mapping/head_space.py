@@ -43,9 +43,9 @@ _EXPLAINED_SHARE = 0.25
 """A scale explains the distances of the rigid markers if it reduces their median to less than this
 share."""
 
-UNIT_RATIO = 1.4
-"""Ratio of sizes beyond that of any two heads, which differ by up to 20 % between adults and 33 %
-to a child; units differ by 2.5 or 10."""
+_UNIT_RATIO = 2.0
+"""Ratio of sizes from which units differ, by 2.5 or more: heads differ by up to 33 %, and by half
+again if their rigid markers sit elsewhere."""
 
 _SLIP_MM = 1.0
 """Scale of the Geman-McClure weights, which reject rigid markers that slipped."""
@@ -380,7 +380,7 @@ def _refuse(names: list[str], median: FloatArray, target: FloatArray, away: Floa
     """Refuse a take whose markers are not those of the performer, with the probable cause."""
     here, there = (float(np.sqrt(each.var(axis=0).sum())) for each in (median, target))
     size = here / there
-    if not 1 / UNIT_RATIO < size < UNIT_RATIO:
+    if not 1 / _UNIT_RATIO < size < _UNIT_RATIO:
         wrong, factor = "the take", size
         if abs(np.log(here / _RIGID_RADIUS_MM)) < abs(np.log(there / _RIGID_RADIUS_MM)):
             wrong, factor = "those", 1 / size
