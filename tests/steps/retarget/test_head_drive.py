@@ -369,17 +369,27 @@ def test_a_package_has_the_head_where_it_was_moved_to(tmp_path: Path) -> None:
         assert other.Get(117) == one.Get(117)
 
 
-@pytest.mark.parametrize(("rate", "offset"), [(30, 0), (30, 100), (15, 0)])
+@pytest.mark.parametrize(
+    ("rate", "offset", "place"),
+    [(30, 100, "/Hero"), (15, 0, "/Hero"), (15, 100, "/cast/actor")],
+)
 def test_a_layer_above_a_performance_is_packed_and_published_with_the_head(
-    tmp_path: Path, rate: int, offset: int, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, rate: int, offset: int, place: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig, source = write_character(tmp_path / "hero.usda"), write_source(tmp_path / "shot.csv")
     out, above = tmp_path / "shot.hero.usda", tmp_path / "animator.usda"
     drive = ("--drive", "head=neck", "--drive", "left_eye=/Hero/props/eyeball")
     assert usdface("retarget", source, "--rate", 30, "--rig", rig.file, *drive, "--out", out) == 0
     layer = Sdf.Layer.CreateNew(str(above))
-    layer.subLayerPaths, layer.timeCodesPerSecond = [f"./{out.name}"], rate
-    layer.subLayerOffsets[0] = Sdf.LayerOffset(offset)
+    layer.timeCodesPerSecond, moved = rate, Sdf.LayerOffset(offset)
+    if place == "/Hero":
+        layer.subLayerPaths = [f"./{out.name}"]
+        layer.subLayerOffsets[0] = moved
+    else:
+        reference = Sdf.Reference(f"./{out.name}", "/Hero", moved)
+        actor = Sdf.CreatePrimInLayer(layer, place)
+        actor.specifier = actor.nameParent.specifier = Sdf.SpecifierDef
+        actor.referenceList.prependedItems = [reference]
     layer.Save()
     capsys.readouterr()
     assert usdface("bake", above, "--out", tmp_path / "baked.usdc") == 0
@@ -393,7 +403,7 @@ def test_a_layer_above_a_performance_is_packed_and_published_with_the_head(
     for each in (published, tmp_path / "shot.usdz"):
         stage = Usd.Stage.Open(str(each))
         for name in ("FaceSolve.rotations", "props/eyeball.xformOp:transform:head"):
-            one, other = (at.GetAttributeAtPath(f"/Hero/{name}") for at in (ours, stage))
+            one, other = (at.GetAttributeAtPath(f"{place}/{name}") for at in (ours, stage))
             assert other.GetNumTimeSamples() == FRAMES
             assert other.Get(frame) == one.Get(frame)
 

@@ -69,7 +69,7 @@ def driving_notes(reader: PerformanceReader) -> list[str]:
     rig_path = reader.header.rig_path
     layers = (opened_driving_layer(reader.stage, rig_path, each) for each in DRIVING_PATHS)
     return [
-        f"only weights are baked: {Path(found[0].realPath).name} moves joints or attributes; "
+        f"only weights are baked: {Path(found[0].layer.realPath).name} moves joints or attributes; "
         "sublayer it as well"
         for found in layers
         if found is not None

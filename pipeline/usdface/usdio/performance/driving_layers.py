@@ -6,7 +6,7 @@ transform before those of the rig. A joint with a parent is only rotated, as the
 position; a root joint and an Xform are translated as well.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -151,22 +151,16 @@ _OF_JOINTS = ("translations", "rotations", "scales")
 
 def opened_driving_layer(
     stage: Usd.Stage, rig_path: str, beside: Callable[[Path], Path]
-) -> tuple[Sdf.Layer, Sdf.LayerOffset] | None:
-    """Return the strongest layer of a kind among a stage's layers, and how they move its times.
+) -> tuple[Sdf.PrimSpec, Sdf.LayerOffset] | None:
+    """Return the rig's prim in a stage's strongest layer of a kind, and how its times are moved.
 
     `beside`: from a performance to the layer, such as `head_path`; a layer above the performance,
-    such as a shot, has another name. `rig_path`: of the face, as a shot may have several.
+    such as a shot, has another name, and may reference it at another path. `rig_path`: of the face,
+    as a shot may have several.
     """
-    ending = beside(Path("x.usda")).name.removeprefix("x")
-
-    def opened(tree: Sdf.LayerTree) -> Iterator[tuple[Sdf.Layer, Sdf.LayerOffset]]:
-        layer: Sdf.Layer = tree.layer
-        if layer.realPath.endswith(ending) and layer.GetPrimAtPath(rig_path):
-            yield layer, tree.offset
-        for below in tree.childTrees:
-            yield from opened(below)
-
-    return next(opened(stage.GetPseudoRoot().GetPrimIndex().rootNode.layerStack.layerTree), None)
+    ending, rig = beside(Path("x.usda")).name.removeprefix("x"), stage.GetPrimAtPath(rig_path)
+    stack = rig.GetPrimStackWithLayerOffsets() if rig else ()
+    return next((each for each in stack if each[0].layer.realPath.endswith(ending)), None)
 
 
 def head_layer_xforms(performance: Path) -> tuple[str, ...]:

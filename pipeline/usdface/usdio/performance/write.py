@@ -140,9 +140,14 @@ def _copy_driving_layers(
     for path_of, target in zip(DRIVING_PATHS, targets, strict=True):
         found = opened_driving_layer(copied.stage, rig_path, path_of)
         if found is not None:
+            spec, moved = found
             with new_layer(target, provenance) as copy:
-                copy.TransferContent(found[0])
-                move_samples(copy, found[1])
+                copy.TransferContent(spec.layer)
+                copy.rootPrims.clear()  # the performance may be referenced at another path
+                Sdf.CreatePrimInLayer(copy, rig_path)
+                Sdf.CopySpec(spec.layer, spec.path, copy, rig_path)
+                copy.defaultPrim = top_path(rig_path).name
+                move_samples(copy, moved)
                 ends = copied.first_frame, copied.last_frame
                 author_timing(copy, rate=copied.rate, first=ends[0], last=ends[1])
             written.append(target)
