@@ -62,12 +62,16 @@ class RigMotion(PointMotion):
         self._ours = np.eye(4)
         root, rest = Sdf.Path(rig.prim), open_variant(rig.file, rig.variants)
         self._ours[:3, :3] = stage_to_ours(rest)
-        self._rest = _Placement(rest, root)
         posed = root.ReplacePrefix(source, rig_path)
         stage = reader.stage
         if not UsdSkel.Root(stage.GetPrimAtPath(posed)):  # only overs: the rig's file is missing
             stage = stage_with_rig(path, rig, Sdf.Path(rig_path))
-        self._posed = _Placement(stage, posed)
+        # A shot may place the character, on its top prim or above, which is no motion of the face.
+        top = UsdGeom.Xformable(stage.GetPrimAtPath(rig_path))
+        if top and top.TransformMightBeTimeVarying():
+            source, rig_path = Sdf.Path.absoluteRootPath, rig_path.GetParentPath()
+        self._rest, self._posed = _Placement(rest, root, source), _Placement(stage, posed, rig_path)
+        self._ours = self._ours @ self._rest.world_of_base(Usd.TimeCode.Default())
         self._parts: list[tuple[Sdf.Path, int]] = []
         """Path relative to the SkelRoot, and joint index of its skeleton, or -1 for the prim."""
         self.shares = self._read_shares(rig)
@@ -111,8 +115,7 @@ class RigMotion(PointMotion):
         order = list(map(str, query.GetJointOrder()))
         mesh_joints = list(map(str, target.GetJointOrder() or order))
         skeleton_moves = self._posed.moves(skeleton)
-        animated = self._animation.GetRotationsAttr().GetNumTimeSamples() > 0
-        driven = names_in(self._animation.GetJointsAttr()) if animated else ()
+        driven = names_in(self._animation.GetJointsAttr())
         moving = [
             (index, joint)
             for index, joint in enumerate(mesh_joints)
@@ -135,7 +138,8 @@ def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
         return np.concatenate(
             [np.full(len(mesh.points), Sdf.Path(mesh.path).HasPrefix(path)) for mesh in rig.meshes]
         )
-    rest = _Placement(open_variant(rig.file, rig.variants), Sdf.Path(rig.prim))
+    root = Sdf.Path(rig.prim)
+    rest = _Placement(open_variant(rig.file, rig.variants), root, root)
     following = []
     for mesh in rig.meshes:
         share = np.zeros(len(mesh.points))
@@ -156,10 +160,13 @@ def _influences(target: UsdSkel.SkinningQuery, count: int) -> tuple[IntArray, Fl
 
 
 class _Placement:
-    """Transforms of the prims and joints below a SkelRoot of one stage."""
+    """Transforms of the prims and joints below a SkelRoot of one stage, relative to a base.
 
-    def __init__(self, stage: Usd.Stage, root: Sdf.Path) -> None:
-        self.stage, self.root = stage, root
+    `base`: path of the SkelRoot, or of a prim above it.
+    """
+
+    def __init__(self, stage: Usd.Stage, root: Sdf.Path, base: Sdf.Path) -> None:
+        self.stage, self.root, self._base = stage, root, stage.GetPrimAtPath(base)
         self._cache = UsdSkel.Cache()
         self._bound = skel_bindings(self._cache, UsdSkel.Root(stage.GetPrimAtPath(root)))
 
@@ -170,31 +177,38 @@ class _Placement:
         return self._bound.get(str(mesh.MakeAbsolutePath(self.root)), (None, None))
 
     def moves(self, below: Sdf.Path) -> bool:
-        """Whether a prim, or an ancestor, has an animated transform."""
+        """Whether a prim, or one between it and the base, has an animated transform."""
         prim = self.stage.GetPrimAtPath(below.MakeAbsolutePath(self.root))
-        while prim and not prim.IsPseudoRoot():
+        while prim and prim != self._base:
             xform = UsdGeom.Xformable(prim)
             if xform and xform.TransformMightBeTimeVarying():
                 return True
             prim = prim.GetParent()
         return False
 
+    def _transforms(self, time: Usd.TimeCode) -> UsdGeom.XformCache:
+        root = self.stage.GetPrimAtPath(self.root)
+        return rest_transforms(root) if time.IsDefault() else UsdGeom.XformCache(time)
+
+    def world_of_base(self, time: Usd.TimeCode) -> FloatArray:
+        """Return the world transform of the base: (4, 4), for column vectors."""
+        return column_matrix(self._transforms(time).GetLocalToWorldTransform(self._base))
+
     def placed(self, parts: list[tuple[Sdf.Path, int]], time: Usd.TimeCode) -> list[FloatArray]:
-        """Return the world transform of each part: (4, 4), for column vectors.
+        """Return the transform of each part relative to the base: (4, 4), for column vectors.
 
         Of joints, the skinning transform; at the default time, that of the rest pose.
         """
-        top, skins = self.stage.GetPrimAtPath(self.root), dict[Sdf.Path, list[FloatArray]]()
-        cache = rest_transforms(top) if time.IsDefault() else UsdGeom.XformCache(time)
-        out = []
+        cache, skins = self._transforms(time), dict[Sdf.Path, list[FloatArray]]()
+        back, out = np.linalg.inv(self.world_of_base(time)), []
         for path, joint in parts:
             prim = self.stage.GetPrimAtPath(path.MakeAbsolutePath(self.root))
-            world = column_matrix(cache.GetLocalToWorldTransform(prim))
+            placed = back @ column_matrix(cache.GetLocalToWorldTransform(prim))
             if joint >= 0:
                 if path not in skins:
                     skins[path] = self._skinning(prim, time)
-                world = world @ skins[path][joint]
-            out.append(world)
+                placed = placed @ skins[path][joint]
+            out.append(placed)
         return out
 
     def _skinning(self, prim: Usd.Prim, time: Usd.TimeCode) -> list[FloatArray]:
