@@ -432,7 +432,7 @@ def test_a_cut_of_a_performance_has_samples_on_both_sides_and_not_elsewhere(
     cut.TransferContent(performance)
     cut.customLayerData = {}
     cut.rootPrims.clear()
-    cut.subLayerPaths = ["./shot.hero.usda"]
+    cut.expressionVariables, cut.subLayerPaths = {"SHOT": "shot"}, ['`"./${SHOT}.hero.usda"`']
     cut.subLayerOffsets[0] = Sdf.LayerOffset(offset)
     cut.startTimeCode, cut.endTimeCode = first, last
     cut.Save()
@@ -442,6 +442,10 @@ def test_a_cut_of_a_performance_has_samples_on_both_sides_and_not_elsewhere(
     assert (
         "move them into the range by a layer offset" in only(Path(cut.realPath), "Timing").message
     )
+    cut.expressionVariables = {}
+    cut.Save()
+    with pytest.raises(InputError, match=r"sublayer .*SHOT.* cannot be read"):
+        validate(tmp_path / "cut.usda")
 
 
 def test_a_material_that_the_reference_to_the_rig_does_not_bring_is_named(tmp_path: Path) -> None:

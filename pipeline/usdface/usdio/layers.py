@@ -17,7 +17,7 @@ from usdface.core.provenance import Provenance, hash_text
 from usdface.core.replacing import replacing_together
 from usdface.usdio import SCHEMA_VERSION
 from usdface.usdio.crate import check_crate
-from usdface.usdio.reached import check_composed, check_reached
+from usdface.usdio.reached import cannot_be_opened, check_composed, check_reached
 
 FRAMES_IN_MEMORY = 1 << 15
 
@@ -123,10 +123,9 @@ def open_stage(path: Path) -> Usd.Stage:
                 used.Reload()
                 _check_schema(used, Path(used.realPath))
                 _check_rate(used, Path(used.realPath))
+        variables = dict(layer.expressionVariables)
         missing = sorted(
-            asset
-            for asset in layer.subLayerPaths
-            if not Sdf.Layer.FindOrOpen(layer.ComputeAbsolutePath(asset))
+            each for each in layer.subLayerPaths if cannot_be_opened(layer, each, variables)
         )
     if missing:
         link = " (a symbolic link, beside which USD looks)" if path.is_symlink() else ""

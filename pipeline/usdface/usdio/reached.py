@@ -79,12 +79,18 @@ def check_composed(stage: Usd.Stage) -> None:
         _check_confined(stage.GetRootLayer(), used.realPath)
 
 
-def evaluated(asset: str, variables: _Variables) -> str:
-    """Return an asset path with its expression evaluated; empty if that fails."""
+def evaluated(asset: str, variables: _Variables) -> str | None:
+    """Return an asset path with its expression evaluated; None if that fails, empty for no file."""
     if not Sdf.VariableExpression.IsExpression(asset):
         return asset
     value = Sdf.VariableExpression(asset).Evaluate(variables).value
-    return value if isinstance(value, str) else ""
+    return value if isinstance(value, str) else None
+
+
+def cannot_be_opened(layer: Sdf.Layer, asset: str, variables: _Variables) -> bool:
+    """Whether a layer refers to a layer that is missing, by a path or an expression."""
+    name = evaluated(asset, variables)
+    return name is None or bool(name and not Sdf.Layer.FindOrOpen(layer.ComputeAbsolutePath(name)))
 
 
 def _check_assets_confined(layer: Sdf.Layer, variables: _Variables) -> None:

@@ -12,6 +12,7 @@ from usdface.usdio.authoring import names_in, read_gaps
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
+from usdface.usdio.reached import cannot_be_opened
 from usdface.usdio.referenced_files import lost_targets
 from usdface.usdio.retarget.controls import attribute_names, attribute_path
 from usdface.usdio.rig.mesh import still_meshes
@@ -234,11 +235,12 @@ def check_absolute_paths(stage: Usd.Stage) -> Iterator[Fault]:
 
 def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
     """Find missing references and sublayers of our layers."""
+    variables = dict(stage.GetRootLayer().expressionVariables)
     for layer in _layers_of_ours(stage):
         missing = [
             asset
             for asset in layer.GetCompositionAssetDependencies()
-            if asset and not Sdf.Layer.FindOrOpen(layer.ComputeAbsolutePath(asset))
+            if cannot_be_opened(layer, asset, variables)
         ]
         if missing:
             yield Fault.error(
