@@ -257,7 +257,16 @@ def retime_layer(layer: Sdf.Layer, rate: float) -> None:
 
 
 def move_samples(layer: Sdf.Layer, moved: Sdf.LayerOffset) -> None:
-    """Move a layer's samples by a layer offset."""
+    """Move a layer's samples and splines by a layer offset."""
+    above = Sdf.Layer.CreateAnonymous()
+    above.timeCodesPerSecond = layer.timeCodesPerSecond
+    above.subLayerPaths, above.subLayerOffsets[0] = [layer.identifier], moved
+    stage = Usd.Stage.Open(above)  # moves the tangents of splines as well
+    specs = (layer.GetAttributeAtPath(path) for path in paths_in(layer))
+    splined = [each for each in specs if each and each.HasSpline()]
+    splines = [stage.GetAttributeAtPath(each.path).GetSpline() for each in splined]
+    for spec, spline in zip(splined, splines, strict=True):
+        spec.SetSpline(spline)
     for path in sampled_properties(layer):
         times = layer.ListTimeSamplesForPath(path)
         values = [layer.QueryTimeSample(path, time) for time in times]

@@ -149,6 +149,19 @@ def test_edits_that_are_not_changed_stay_in_time_when_the_rate_is_another(tmp_pa
     offset = np.where((FRAMES >= 110) & (FRAMES <= 120), 0.25, 0.0)
     edit = ShapeEdit(EditCurve(offset, np.zeros(40), np.zeros(40)), np.full(40, np.nan))
     write_edits(path, reader.animation, {"smile": edit}, FRAMES, provenance=Provenance())
+    stage, spline = Usd.Stage.Open(str(tmp_path / "shot.hero.edits.usda")), Ts.Spline("float")
+    for time, value in ((110, 0.1), (130, 0.5)):
+        knot = Ts.Knot(typeName="float", time=time, value=value)
+        knot.SetNextInterpolation(Ts.InterpCurve)
+        knot.SetPostTanWidth(6)
+        knot.SetPreTanWidth(6)
+        spline.SetKnot(knot)
+    blink = stage.GetPrimAtPath("/Hero/FaceSolve").CreateAttribute(
+        "face:edit:eyeBlink", Sdf.ValueTypeNames.Float
+    )
+    blink.SetSpline(spline)
+    stage.Save()
+    eased = [blink.Get(frame / 2) for frame in range(202, 281)]
     perform(tmp_path, rate=48, first=202, last=280)  # the same seconds, twice as many frames
     reader = PerformanceReader(path)
     frames = np.arange(202, 281)
@@ -164,6 +177,7 @@ def test_edits_that_are_not_changed_stay_in_time_when_the_rate_is_another(tmp_pa
     np.testing.assert_allclose(changed[:, NAMES.index("jawOpen")], 0.5, atol=1e-6)
     full = np.flatnonzero(changed[:, NAMES.index("smile")] > 0.249) + 202
     assert (full[0], full[-1]) == (220, 240)
+    np.testing.assert_allclose(changed[:, NAMES.index("eyeBlink")], eased, atol=1e-6)
 
 
 def test_a_key_set_by_hand_in_another_tool_counts(tmp_path: Path) -> None:
