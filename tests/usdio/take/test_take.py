@@ -151,13 +151,18 @@ def foreign_stage(path: Path, *, rate: float = 60, up: str = "Y", metres: float 
 POSITIONS = np.random.default_rng(3).normal(0, 50, (6, 5, 3)).astype(np.float32)
 
 
-def test_points_with_names_in_a_primvar_become_markers(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["listed", "indexed", "sampled"])
+def test_points_with_names_in_a_primvar_become_markers(tmp_path: Path, how: str) -> None:
     stage = foreign_stage(tmp_path / "points.usda")
     points = UsdGeom.Points.Define(stage, "/mocap/face")
     labels = UsdGeom.PrimvarsAPI(points).CreatePrimvar(
         "names", Sdf.ValueTypeNames.StringArray, UsdGeom.Tokens.vertex
     )
-    labels.Set(list("abcde"))
+    if how == "indexed":
+        labels.Set(list("edcba"))
+        labels.SetIndices([4, 3, 2, 1, 0])
+    else:
+        labels.Set(list("abcde"), 10 if how == "sampled" else Usd.TimeCode.Default())
     for frame, row in enumerate(POSITIONS):
         if frame != 3:  # a frame the file lacks is a gap
             points.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(row), 10 + frame)

@@ -170,9 +170,12 @@ def _points_set(prim: Usd.Prim, attribute: Usd.Attribute) -> _MarkerSet:
 
 
 def _labels(prim: Usd.Prim, numbers: Sequence[int]) -> tuple[str, ...]:
+    first = Usd.TimeCode.EarliestTime()
     for name in NAME_ATTRIBUTES:
-        attribute = prim.GetAttribute(name)
-        value = attribute.Get() if attribute else None
+        if not (attribute := prim.GetAttribute(name)):
+            continue
+        primvar = UsdGeom.Primvar(attribute)  # may be indexed, as Houdini's
+        value = primvar.ComputeFlattened(first) if primvar else attribute.Get(first)
         if value is not None and len(value) == len(numbers):
             return tuple(map(str, value))
     ids = UsdGeom.Points(prim).GetIdsAttr().Get()
