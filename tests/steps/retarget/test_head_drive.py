@@ -36,6 +36,7 @@ from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.driving_layers import head_layer_xforms
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import RigMotion
@@ -185,7 +186,7 @@ def test_an_xform_turns_about_where_it_was_placed(tmp_path: Path) -> None:
         "retarget", source, "--rate", 30, "--rig", rig.file, "--out", out,
         "--drive", "left_eye=/Hero/props/eyeball", "--prim", "/Shot/Hero",
     ) == 0  # fmt: skip
-    assert head_layer_xforms(out) == ("/Shot/Hero/props/eyeball",)
+    assert head_layer_xforms(PerformanceReader(out)) == ("/Shot/Hero/props/eyeball",)
     stage, rest = Usd.Stage.Open(str(out)), Usd.Stage.Open(str(rig.file))
     up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from Z up to Y up
     for frame in (1, 23):
@@ -328,8 +329,8 @@ def test_parts_that_drive_different_things_are_not_joined(
     assert not out.exists()
 
 
-@pytest.mark.parametrize("clips", ["never", "always"])
-def test_joined_parts_keep_joints_and_attributes(tmp_path: Path, clips: str) -> None:
+@pytest.mark.parametrize(("clips", "above"), [("never", ""), ("never", "/a/b"), ("always", "")])
+def test_joined_parts_keep_joints_and_attributes(tmp_path: Path, clips: str, above: str) -> None:
     rig, acts = write_creature(tmp_path / "beast.usda"), creature_acts(human_moves(12))
     parts = []
     for first in (1, 7):
@@ -339,6 +340,14 @@ def test_joined_parts_keep_joints_and_attributes(tmp_path: Path, clips: str) -> 
         }
         parts.append(tmp_path / f"{first}.usda")
         write_creature_performance(parts[-1], rig, replace(acts, **rows), first=first)
+        if above:  # shots that reference the parts
+            layer = Sdf.Layer.CreateNew(str(tmp_path / f"shot{first}.usda"))
+            placed = Sdf.CreatePrimInLayer(layer, above)
+            placed.specifier = placed.nameParent.specifier = Sdf.SpecifierDef
+            placed.referenceList.prependedItems = [Sdf.Reference(f"./{first}.usda", "/Beast")]
+            layer.timeCodesPerSecond = 24
+            layer.Save()
+            parts[-1] = Path(layer.realPath)
     whole = tmp_path / "whole.usda"
     assert usdface("join", *parts, "--clips", clips, "--out", whole) == 0
     joined = read_control_clip(whole).controls

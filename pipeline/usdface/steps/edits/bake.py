@@ -66,8 +66,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
 
 def driving_notes(reader: PerformanceReader) -> list[str]:
     """Return notes on the layers of joints and attributes, which a layer of weights lacks."""
-    rig_path = reader.header.rig_path
-    layers = (opened_driving_layer(reader.stage, rig_path, each) for each in DRIVING_PATHS)
+    layers = (opened_driving_layer(reader, each) for each in DRIVING_PATHS)
     return [
         f"only weights are baked: {Path(found[0].layer.realPath).name} moves joints or attributes; "
         "sublayer it as well"

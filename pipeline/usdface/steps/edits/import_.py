@@ -67,7 +67,7 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
     outside = len(table.frames) - len(given)
     if outside:
         notes += (f"left out {pluralize(outside, 'frame')} outside the performance",)
-    if opened_driving_layer(reader.stage, reader.header.rig_path, controls_path):
+    if opened_driving_layer(reader, controls_path):
         notes += ("edits are of weights: changes of joints and attributes are not imported",)
     if not changed:
         return StepResult(

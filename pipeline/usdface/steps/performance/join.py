@@ -41,7 +41,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepRe
         progress((last - whole.first_frame + 1) / whole.frame_count, f"joined to frame {last}")
 
     files = [each.path for each in readers]
-    driving = {each(spec.out): driving_layers(files, each) for each in (head_path, controls_path)}
+    driving = {each(spec.out): driving_layers(readers, each) for each in (head_path, controls_path)}
     above = [layer for layer, of_parts in driving.items() if of_parts]
     if clips or above:
         _check_not_moved(readers)
@@ -59,7 +59,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepRe
                         copied_to=report,
                     )
         for layer, of_parts in driving.items():
-            join_driving_layers(layer, of_parts, last_frame=whole.last_frame, provenance=provenance)
+            join_driving_layers(layer, of_parts, whole, provenance=provenance)
     notes = performance_notes(spec.out)
     notes += [
         f"{reader.path}: its edits of {first_few(sorted(reader.edits))} are not joined; edit the "

@@ -20,7 +20,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import controls_path, head_path, weights_path
+from usdface.core.sidecars import controls_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.charts.motion_curves import (
     FrameSpan,
@@ -123,7 +123,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             *filter(None, dict.fromkeys(each.rate_note for each in placements)),
             *_length_notes(placements),
             *performance_notes(spec.out),
-            *_head_notes(spec.performance),
+            *_head_notes(reader),
         ),
         {
             "frames": len(before),
@@ -218,14 +218,14 @@ def _length_notes(placements: list[_Placement]) -> list[str]:
     ]
 
 
-def _head_notes(performance: Path) -> list[str]:
+def _head_notes(reader: PerformanceReader) -> list[str]:
     """Return a note on animated Xforms, which are not warped."""
-    xforms = head_layer_xforms(performance)
+    xforms = head_layer_xforms(reader)
     if not xforms:
         return []
     return [
         f"not warped nor written, as Xforms are no controls: {first_few(xforms)}; their motion is "
-        f"in {head_path(performance).name}"
+        "in the performance's head layer"
     ]
 
 

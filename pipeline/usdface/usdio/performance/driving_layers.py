@@ -27,7 +27,8 @@ from usdface.usdio.authoring import (
     sampled_properties,
     top_path,
 )
-from usdface.usdio.layers import new_layer, open_layer, open_stage, sublayer_asset
+from usdface.usdio.layers import new_layer, open_stage
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, author_layer_metadata
 from usdface.usdio.retarget.controls import (
     author_joints,
@@ -36,6 +37,7 @@ from usdface.usdio.retarget.controls import (
     set_joint_samples,
 )
 from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
+from usdface.usdio.rig.reference import rig_path_of
 from usdface.usdio.units import column_matrix, rest_transforms, row_matrix, stage_to_ours
 
 TRANSFORM = "xformOp:transform:head"
@@ -150,67 +152,85 @@ _OF_JOINTS = ("translations", "rotations", "scales")
 
 
 def opened_driving_layer(
-    stage: Usd.Stage, rig_path: str, beside: Callable[[Path], Path]
+    performance: PerformanceReader, beside: Callable[[Path], Path]
 ) -> tuple[Sdf.PrimSpec, Sdf.LayerOffset] | None:
-    """Return the rig's prim in a stage's strongest layer of a kind, and how its times are moved.
+    """Return the rig's prim in the strongest layer of a kind, and how the layer's times are moved.
 
     `beside`: from a performance to the layer, such as `head_path`; a layer above the performance,
-    such as a shot, has another name, and may reference it at another path. `rig_path`: of the face,
-    as a shot may have several.
+    such as a shot, has another name, and may reference it at another path.
     """
-    ending, rig = beside(Path("x.usda")).name.removeprefix("x"), stage.GetPrimAtPath(rig_path)
+    ending = beside(Path("x.usda")).name.removeprefix("x")
+    rig = performance.stage.GetPrimAtPath(rig_path_of(performance.stage, performance.animation))
     stack = rig.GetPrimStackWithLayerOffsets() if rig else ()
     return next((each for each in stack if each[0].layer.realPath.endswith(ending)), None)
 
 
-def head_layer_xforms(performance: Path) -> tuple[str, ...]:
+def copy_driving_layer(layer: Sdf.Layer, source: Sdf.PrimSpec, rig_path: str) -> None:
+    """Copy a driving layer into a new one, with the rig's prim at another path."""
+    layer.TransferContent(source.layer)
+    layer.rootPrims.clear()
+    Sdf.CreatePrimInLayer(layer, rig_path)
+    Sdf.CopySpec(source.layer, source.path, layer, rig_path)
+    layer.defaultPrim = top_path(rig_path).name
+
+
+def head_layer_xforms(performance: PerformanceReader) -> tuple[str, ...]:
     """Return the paths of the Xforms in a performance's head layer."""
-    properties = (Sdf.Path(each) for each in _driven(performance, head_path(performance)))
+    properties = map(Sdf.Path, _driven(performance, head_path))
     return tuple(str(each.GetPrimPath()) for each in properties if each.name == TRANSFORM)
 
 
-def driving_layers(parts: Sequence[Path], beside: Callable[[Path], Path]) -> list[Path]:
-    """Return the driving layers of the parts of a performance; they must drive the same.
+def driving_layers(
+    parts: Sequence[PerformanceReader], beside: Callable[[Path], Path]
+) -> list[Sdf.PrimSpec]:
+    """Return the rig's prim in the driving layers of the parts of a performance.
 
-    Since samples of joints are arrays in the order of the names in the header.
+    They must drive the same, since samples of joints are arrays in the order of the header's names.
 
     `beside`: from a performance to the layer, such as `head_path`.
     """
-    driven = [_driven(each, beside(each)) for each in parts]
+    opened = [opened_driving_layer(each, beside) for each in parts]
+    driven = [_driven(each, beside) for each in parts]
     for part, names in zip(parts, driven, strict=True):
         if names != driven[0]:
             raise InputError(
-                f"{part}: drives {first_few(names) or 'nothing'} where {parts[0]} drives "
+                f"{part.path}: drives {first_few(names) or 'nothing'} where {parts[0].path} drives "
                 f"{first_few(driven[0]) or 'nothing'}; make it again with the same options"
             )
-    return [beside(each) for each in parts] if driven and driven[0] else []
+    return [each[0] for each in opened if each is not None and driven[0]]
 
 
 def join_driving_layers(
-    path: Path, layers: Sequence[Path], *, last_frame: int, provenance: Provenance | None = None
+    path: Path,
+    sources: Sequence[Sdf.PrimSpec],
+    header: WeightsHeader,
+    *,
+    provenance: Provenance | None = None,
 ) -> None:
     """Join driving layers of parts of a performance, in the order of their frames."""
-    if not layers:
+    if not sources:
         return
     with new_layer(path, provenance) as layer:
-        layer.TransferContent(open_layer(layers[0]))
-        layer.endTimeCode = last_frame
-        for other in map(open_layer, layers[1:]):
+        copy_driving_layer(layer, sources[0], header.rig_path)
+        layer.endTimeCode = header.last_frame
+        for source in sources[1:]:
+            other = source.layer
             for place in sampled_properties(other):
+                joined = place.ReplacePrefix(source.path, header.rig_path)
                 for time in other.ListTimeSamplesForPath(place):
-                    layer.SetTimeSample(place, time, other.QueryTimeSample(place, time))
+                    layer.SetTimeSample(joined, time, other.QueryTimeSample(place, time))
 
 
-def _driven(performance: Path, file: Path) -> list[str]:
-    """Return the names of joints and the paths of attributes that a layer drives."""
-    top = open_layer(performance)  # keep a reference: prims do not outlive their layer
-    if sublayer_asset(top, file, performance) not in list(top.subLayerPaths):
-        return []
-    layer, driven = open_layer(file), list[str]()
+def _driven(performance: PerformanceReader, beside: Callable[[Path], Path]) -> list[str]:
+    """Return the names of joints and the paths of attributes that a layer of a kind drives."""
+    found, driven = opened_driving_layer(performance, beside), list[str]()
+    if found is None:
+        return driven
+    layer, rig_path = found[0].layer, rig_path_of(performance.stage, performance.animation)
     for path in paths_in(layer):
         if path.IsPropertyPath() and path.name == "joints":
             driven += map(str, layer.GetAttributeAtPath(path).default or ())
         elif path.IsPropertyPath() and path.name not in _OF_JOINTS:
             if layer.GetNumTimeSamplesForPath(path):
-                driven.append(str(path))
+                driven.append(str(path.ReplacePrefix(found[0].path, rig_path)))
     return driven

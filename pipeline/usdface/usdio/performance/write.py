@@ -36,7 +36,11 @@ from usdface.usdio.layers import (
     usd_errors_as_input_errors,
 )
 from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_parts
-from usdface.usdio.performance.driving_layers import DRIVING_PATHS, opened_driving_layer
+from usdface.usdio.performance.driving_layers import (
+    DRIVING_PATHS,
+    copy_driving_layer,
+    opened_driving_layer,
+)
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import (
     ANIMATION,
@@ -138,16 +142,11 @@ def _copy_driving_layers(
     """
     written, rig_path = list[Path](), rig_path_of(copied.stage, copied.animation)
     for path_of, target in zip(DRIVING_PATHS, targets, strict=True):
-        found = opened_driving_layer(copied.stage, rig_path, path_of)
+        found = opened_driving_layer(copied, path_of)
         if found is not None:
-            spec, moved = found
             with new_layer(target, provenance) as copy:
-                copy.TransferContent(spec.layer)
-                copy.rootPrims.clear()  # the performance may be referenced at another path
-                Sdf.CreatePrimInLayer(copy, rig_path)
-                Sdf.CopySpec(spec.layer, spec.path, copy, rig_path)
-                copy.defaultPrim = top_path(rig_path).name
-                move_samples(copy, moved)
+                copy_driving_layer(copy, found[0], rig_path)
+                move_samples(copy, found[1])
                 ends = copied.first_frame, copied.last_frame
                 author_timing(copy, rate=copied.rate, first=ends[0], last=ends[1])
             written.append(target)
