@@ -114,13 +114,16 @@ def test_what_an_animator_keys_above_goes_before_what_was_proposed(
     weights = UsdSkel.Animation.Get(stage, "/Pairs/TargetControls").GetBlendShapeWeightsAttr()
     for time in range(1, 9):
         weights.Set([0.5, 0.5, 0.1 * time], time)
-    stage.GetRootLayer().Save()
+    layer = stage.GetRootLayer()
+    layer.subLayerPaths = ["x.pairs.proposed.usda"]  # as another tool writes it
+    layer.Save()
     human = write_human(path.parent / "human.usda")
     beast = write_creature(path.parent / "beast.usda")
     write_pairs(path, pairs, source_rig=human, target_rig=beast, provenance=Provenance())
     np.testing.assert_allclose(
         read_pairs(path).target.weights[:, 2], 0.1 * np.arange(1, 9), atol=1e-6
     )
+    assert list(layer.subLayerPaths) == ["x.pairs.proposed.usda"]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 
 from tests.small_scan import small_scan, write_scan
 from usdface.core.errors import InputError
@@ -189,9 +189,13 @@ def test_what_others_put_into_the_layer_to_open_stays(tmp_path: Path, face: Face
     write(tmp_path / "out.usda", face, WHOLE)
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     UsdGeom.Sphere.Define(stage, "/Scan/locator")
+    layer = stage.GetRootLayer()
+    layer.subLayerPaths = ["out.points.usdc"]  # as another tool writes it
+    layer.subLayerOffsets[0] = Sdf.LayerOffset(100)
     stage.Save()
     write(tmp_path / "out.usda", face, WHOLE)
     assert Usd.Stage.Open(str(tmp_path / "out.usda")).GetPrimAtPath("/Scan/locator")
+    assert list(layer.subLayerPaths) == ["out.points.usdc"]
 
 
 def test_nan_is_never_written(tmp_path: Path, face: FaceMesh) -> None:

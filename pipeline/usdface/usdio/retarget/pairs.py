@@ -30,7 +30,7 @@ from usdface.usdio.layers import (
     open_layer,
     open_stage,
     refusing_wrong_types,
-    relative_path,
+    sublayer_asset,
 )
 from usdface.usdio.references.pair_layers import author_pair_header, open_pair_stage
 from usdface.usdio.retarget.controls import (
@@ -81,7 +81,7 @@ def write_pairs(
         if path.is_file():
             layer.TransferContent(open_layer(path))
         author_pair_header(layer, _ROOT, len(pairs))
-        asset = relative_path(samples, path)
+        asset = sublayer_asset(layer, samples, path)
         if asset not in list(layer.subLayerPaths):
             layer.subLayerPaths.append(asset)
         root = define_prim(layer, _ROOT, "Xform")

@@ -27,7 +27,7 @@ from usdface.usdio.authoring import (
     prim_paths_in,
     top_path,
 )
-from usdface.usdio.layers import new_layer, open_layer, relative_path
+from usdface.usdio.layers import new_layer, open_layer, sublayer_asset
 from usdface.usdio.performance.clips import author_clips, clip_files
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.reference import define_reference, remove_reference
@@ -208,7 +208,7 @@ def writing_points(
             if path.is_file():
                 layer.TransferContent(open_layer(path))
             _author_header(layer, face, at, header)
-            name = relative_path(points_file, path)
+            name = sublayer_asset(layer, points_file, path)
             is_open = name in list(layer.subLayerPaths)
             define_reference(layer, top, asset, path, replace_rig=is_open)
             for each in before.GetPrefixes() if before != at else ():
