@@ -1,17 +1,21 @@
 """The blendshape equation as a performance: `map --baseline`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.steps.small_shot import Shot
+from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
+from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.steps.inputs.solve_verdict import verdict_findings
 from usdface.steps.review.scoring import set_up_shot_baseline
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import read_performance
+from usdface.usdio.take.write import write_take
 
 
 def solved(shot: Shot, out: Path, **options: object) -> np.ndarray:
@@ -49,6 +53,19 @@ def test_a_stretch_of_frames_is_solved_as_the_whole_take(
     (finding,) = verdict_findings(tmp_path / "whole.usda")
     assert finding.severity == "warning"
     assert "Check: this solve has no record of its references or its error" in finding.message
+
+
+def test_a_doubtful_placement_is_said(finished_shot: Shot, tmp_path: Path) -> None:
+    take = read_cleaned(finished_shot / "shot.clean.take.usda")
+    assert take.markers is not None
+    names = tuple(f"m{each}" for each in range(len(take.markers.names)))
+    unnamed = replace(take.markers, names=names, rigid=names[:4])
+    write_take(tmp_path / "m.take.usda", replace(take, markers=unnamed), provenance=Provenance())
+    given = {"take": tmp_path / "m.take.usda", "rig": finished_shot / "hero.usdc", "frames": "1-9"}
+    spec = MapSpec(baseline=True, out=tmp_path / "m.usda", **given)
+    (note,) = (each for each in execute(spec).notes if each.startswith("placement: "))
+    assert "placed by motion alone" in note
+    assert "give it as --placement" in note
 
 
 @pytest.mark.parametrize(

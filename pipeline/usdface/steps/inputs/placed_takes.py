@@ -23,6 +23,7 @@ from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.placement.verdict import PlacementVerdict, judge_placement, warn_upside_down
+from usdface.model.selection.baseline import PerformerMarkers
 from usdface.model.surface.binding import bind_at
 from usdface.numerics.registration.virtual_markers import marker_deltas, motion_by_rig
 from usdface.numerics.rigid.rigid_template import RigidTemplate
@@ -65,30 +66,30 @@ class PlacedTakes:
 
 
 class PlacementScene:
-    """Takes and a rig, for placing and judging."""
+    """Frames of a performer's markers and a rig, for placing and judging."""
 
-    def __init__(self, takes: CleanedTakes, rig: Rig) -> None:
-        self._takes, self._rig = takes, rig
+    def __init__(self, performer: PerformerMarkers, rig: Rig) -> None:
+        self._names, self._neutral, self._rig = performer.labels, performer.neutral, rig
+        self._rigid = list(performer.rigid)
         self._deformer = deformer = Deformer(rig)
-        rows = sample_frames(len(takes.frames), _SAMPLE_FRAMES)
-        self._sample = takes.positions_at(rows).astype(np.float64)
-        self._usable = takes.usable_at(rows)
+        self._sample, self._usable = performer.positions.astype(np.float64), performer.visible
         self._mesh = rig_surfaces(rig)[0].mesh
         with as_input_error(f"the markers cannot be placed on {rig.file}"):
             self._cloud = marker_cloud(
-                takes.marker_names,
-                takes.neutral,
+                self._names,
+                self._neutral,
                 self._sample,
                 visible=self._usable,
-                rigid=[takes.marker_names.index(name) for name in takes.rigid],
+                rigid=self._rigid,
             )
             self._skin = deformer.face_skin()
 
-    def place(self, *, out: Path, landmarks: Mapping[str, FloatArray]) -> PlacedTakes:
+    def place(self, *, out: Path | None, landmarks: Mapping[str, FloatArray]) -> PlacedTakes:
         """Place the markers, keeping landmarks [mm] and the corrections of a placement at `out`."""
-        takes, rig, mesh = self._takes, self._rig, self._mesh
-        given = read_given_places(out, rig) if has_binding(out) else GivenPlaces({}, {}, (), {})
-        names = takes.marker_names
+        names, rig, mesh = self._names, self._rig, self._mesh
+        given = GivenPlaces({}, {}, (), {})
+        if out is not None and has_binding(out):
+            given = read_given_places(out, rig)
         known = {**landmarks, **given.corrected}
         pins = {names.index(name): at for name, at in known.items() if name in names}
         with as_input_error(f"the markers cannot be placed on {rig.file}"):
@@ -106,7 +107,7 @@ class PlacementScene:
                 mesh,
                 places.replaced(on_skin),
                 names,
-                neutral=takes.neutral,
+                neutral=self._neutral,
                 sample=self._sample,
                 sources={
                     marker: "corrected" if names[marker] in given.corrected else "landmark"
@@ -116,7 +117,7 @@ class PlacementScene:
         placed = self.judge(
             RigPlacement(
                 binding=binding,
-                neutral=takes.neutral,
+                neutral=self._neutral,
                 rotation=at.rotation,
                 motion_scale=at.motion_scale,
                 explained=float("nan"),
@@ -133,8 +134,7 @@ class PlacementScene:
         Empty if the takes' rigid markers do not move, as those of a head band, and if the takes'
         motion is not more probable by the rig once they are aligned by the others.
         """
-        names = self._takes.marker_names
-        rigid = np.array([names.index(name) for name in self._takes.rigid], np.int64)
+        names, rigid = self._names, np.array(self._rigid, np.int64)
         if _motion_mm(self._sample[:, rigid], self._usable[:, rigid]) < _STILL_MM:
             return (), ""
         virtual = virtual_markers(placement, names, self._cloud.neutral)
@@ -156,7 +156,8 @@ class PlacementScene:
             return (), ""
         found = tuple(names[marker] for marker in steady)
         return found, (
-            f"the rigid markers ({first_few(self._takes.rigid)}) are on skin: as the rig moves it, "
+            f"the rigid markers ({first_few([names[m] for m in rigid])}) are on skin: as the rig "
+            "moves it, "
             f"they leave an error of {before:.1f} mm in the head's pose, at the markers, and "
             f"{first_few(found)} {after:.1f} mm. The takes are aligned by these; if there are "
             "markers on the skull, name them with `usdface clean --rigid`"
@@ -165,8 +166,8 @@ class PlacementScene:
     def judge(self, placement: RigPlacement) -> PlacedTakes:
         """Judge a placement of these markers on this rig."""
         row_of = rows_by_name(placement)
-        rows = [row for row, name in enumerate(self._takes.marker_names) if name in row_of]
-        names = tuple(self._takes.marker_names[row] for row in rows)
+        rows = [row for row, name in enumerate(self._names) if name in row_of]
+        names = tuple(self._names[row] for row in rows)
         cloud = self._cloud
         virtual = virtual_markers(placement, names, cloud.neutral[rows])
         sources = [placement.binding.sources[row_of[name]] for name in names]
@@ -196,7 +197,8 @@ def place_takes(
     """
     notes = dict[str, None]()
     for rounds_left in reversed(range(_ALIGNMENT_ROUNDS)):
-        scene = PlacementScene(takes, rig)
+        sample = takes.markers_at(sample_frames(len(takes.frames), _SAMPLE_FRAMES))
+        scene = PlacementScene(PerformerMarkers.of_take(sample, takes.neutral), rig)
         placed = place(scene)
         steadier, note = scene.find_steadier(placed.placement) if rounds_left else ((), "")
         if not steadier:

@@ -18,6 +18,7 @@ from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import read_markers_at
 from usdface.steps.inputs.edit_ranges import performance_notes
+from usdface.steps.inputs.placed_takes import PlacementScene
 from usdface.steps.inputs.placement import (
     placed_equation,
     read_performer_markers,
@@ -36,7 +37,7 @@ def run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> S
     first, last = take.frames_within(frame_range(spec.frames))
     count = last - first + 1
     progress(0.0, "placing the markers on the rig")
-    equation = _equation(spec, take, rig)
+    equation, placement_note = _equation(spec, take, rig)
     header = make_header(
         rig,
         shape_names=rig.shapes,
@@ -72,6 +73,7 @@ def run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> S
         f"{pluralize(count, 'frame')} of the baseline; residual {residual:.2f} mm at the markers",
         (
             *check_rig_upright(rig),
+            *placement_note,
             *_notes(spec, equation, rig, share),
             *performance_notes(spec.out),
         ),
@@ -79,15 +81,28 @@ def run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> S
     )
 
 
-def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
-    """Set up the equation from frames sampled over the whole take, so that chunks are equal."""
+def _equation(
+    spec: MapSpec, take: TakeReader, rig: Rig
+) -> tuple[BlendshapeEquation, tuple[str, ...]]:
+    """Set up the equation from frames sampled over the whole take, so that chunks are equal.
+
+    Returns it with a note on a placement that was made here and may be wrong.
+    """
     count = take.last_frame - take.first_frame + 1
     picks = take.first_frame + sample_frames(count, MOTION_FRAMES)
     performer = read_performer_markers(take, picks.tolist())
-    placement = None
+    note: tuple[str, ...] = ()
     if spec.placement is not None:
         placement = read_placement_of(spec.placement, rig, performer.labels, performer.neutral)
-    return placed_equation(placement, rig, Deformer(rig), performer)
+    else:
+        placed = PlacementScene(performer, rig).place(out=None, landmarks={})
+        placement, verdict = placed.placement, placed.verdict
+        if verdict.level != "good":
+            note = (
+                f"placement: {verdict.sentence}; look at it with `usdface place` and give it as "
+                "--placement",
+            )
+    return placed_equation(placement, rig, Deformer(rig), performer), note
 
 
 def _notes(spec: MapSpec, equation: BlendshapeEquation, rig: Rig, outside: float) -> list[str]:
