@@ -11,6 +11,7 @@ from usdface.core.arrays import (
     FloatArray,
     IntArray,
     median_places,
+    rms_radius,
     sample_frames,
 )
 from usdface.core.assets import Markers
@@ -42,6 +43,9 @@ _RIGID_RADIUS_MM = 60.0
 _EXPLAINED_SHARE = 0.25
 """A scale explains the distances of the rigid markers if it reduces their median to less than this
 share."""
+
+_LEAST_SCALE = 0.005
+"""Relative difference of sizes from which calibrations differ: noise of 0.1 mm has 0.002."""
 
 _UNIT_RATIO = 2.0
 """Ratio of sizes from which units differ, by 2.5 or more: heads differ by up to 33 %, and by half
@@ -110,6 +114,8 @@ class HeadSpace:
     """(markers, 3): offset that the take's reference pairs show, in the take's space [mm]."""
     template: RigidTemplate | None = None
     """Of the performer's rigid markers, in the take's space; None if the take's are the same."""
+    scale: float = 1.0
+    """Distances of the take's rigid markers over the performer's, if that is why they differ."""
 
     def place(self, markers: Markers) -> MappedMarkers:
         """Return frames of the take in the mapping's order, head space and neutral face."""
@@ -158,6 +164,8 @@ class _Alignment(NamedTuple):
     """As of `HeadSpace`."""
     pairs: int = 0
     """Number of the take's reference pairs by which it is aligned."""
+    scale: float = 1.0
+    """As of `HeadSpace`."""
 
 
 def find_head_space(
@@ -240,6 +248,7 @@ def find_head_space(
         aligned.moved_mm,
         aligned.pair_offset,
         template,
+        aligned.scale,
     )
 
 
@@ -367,7 +376,8 @@ def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolAr
     rotation, shift = _robust_transform(median[used], target[used])
     away = np.linalg.norm(median @ rotation.T + shift - target, axis=1)
     if np.median(away[used]) <= RIGID_TOLERANCE_MM:
-        return _Alignment(rotation, shift)
+        scale = _explaining_scale(median[used], target[used], away[used])
+        return _Alignment(rotation, shift, scale=scale)
     by_face = _robust_transform(median, target)
     face_away = np.linalg.norm(median @ by_face[0].T + by_face[1] - target, axis=1)
     if np.median(face_away) > RIGID_TOLERANCE_MM:
@@ -378,7 +388,7 @@ def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolAr
 
 def _refuse(names: list[str], median: FloatArray, target: FloatArray, away: FloatArray) -> NoReturn:
     """Refuse a take whose markers are not those of the performer, with the probable cause."""
-    here, there = (float(np.sqrt(each.var(axis=0).sum())) for each in (median, target))
+    here, there = map(rms_radius, (median, target))
     size = here / there
     if not 1 / _UNIT_RATIO < size < _UNIT_RATIO:
         wrong, factor = "the take", size
@@ -390,9 +400,7 @@ def _refuse(names: list[str], median: FloatArray, target: FloatArray, away: Floa
             f"and {unit_remedy(factor)}"
         )
     cause = "it is another marker set or another performer: select and train for it separately"
-    turned, moved = _robust_transform(median / size, target)
-    scaled = np.linalg.norm(median / size @ turned.T + moved - target, axis=1)
-    if np.median(scaled) < _EXPLAINED_SHARE * np.median(away):
+    if _explaining_scale(median, target, away) != 1.0:
         cause = (
             f"a scale explains it: every distance is {size:.3g} times as large. If "
             f"units or calibration differ, ingest it again with {1 / size:.3g} times its "
@@ -404,6 +412,15 @@ def _refuse(names: list[str], median: FloatArray, target: FloatArray, away: Floa
         f"compared with ({names[int(away.argmax())]}: {away.max():.1f} mm), and its face does not "
         f"agree with theirs either; {cause}"
     )
+
+
+def _explaining_scale(median: FloatArray, target: FloatArray, away: FloatArray) -> float:
+    """Return how many times as large rigid markers are if that explains their distances, or 1."""
+    size = rms_radius(median) / rms_radius(target)
+    turned, moved = _robust_transform(median / size, target)
+    scaled = np.linalg.norm(median / size @ turned.T + moved - target, axis=1)
+    explained = np.median(scaled) < _EXPLAINED_SHARE * np.median(away)
+    return size if explained and abs(size - 1) > _LEAST_SCALE else 1.0
 
 
 def _robust_transform(points: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -282,6 +282,12 @@ def _marker_notes(space: HeadSpace) -> list[str]:
             "its head motion was removed by other rigid markers than that of the references; its "
             "frames were aligned by those of the references"
         )
+    if space.scale != 1.0:
+        notes.append(
+            f"every distance between its rigid markers is {space.scale:.3f} times that of the "
+            "references, as if calibrations differed; ingest it again with "
+            f"{1 / space.scale:.3f} times its --scale (default 1)"
+        )
     if space.moved_mm:
         notes.append(
             f"the rigid markers were put on again, {space.moved_mm:.1f} mm (root mean square) "
