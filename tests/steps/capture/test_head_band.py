@@ -21,7 +21,7 @@ SKIN = tuple(
 FRAMES, NOISE_MM = 300, 0.15
 
 
-def write_turning(path: Path, *, band_motion_mm: float) -> None:
+def write_turning(path: Path, *, band_motion_mm: float, band_names: tuple[str, ...] = BAND) -> None:
     """Write a head that turns, with a band and a mouth that move, brows and cheeks that do not."""
     rng = np.random.default_rng(0)
     band = np.array([[-60, 75, -60], [60, 75, -60], [0, 95, -40], [-75, 40, -100]], float)
@@ -35,7 +35,7 @@ def write_turning(path: Path, *, band_motion_mm: float) -> None:
     moved = np.einsum("fij,fkj->fki", turns, face) + rng.normal(0, NOISE_MM, face.shape)
     seen = np.ones(moved.shape[:2], bool)
     markers = Markers(
-        names=(*BAND, *SKIN),
+        names=(*band_names, *SKIN),
         positions=moved.astype(np.float32),
         visible=seen,
         confidence=seen.astype(np.float32),
@@ -65,6 +65,17 @@ def test_a_band_is_rigid_where_it_proves_so(tmp_path: Path, band_motion_mm: floa
     same = read_take(named).markers
     assert same is not None
     np.testing.assert_array_equal(cleaned.positions, same.positions)
+
+
+def test_labels_of_no_part_of_the_face_are_of_the_head_where_they_prove_so(tmp_path: Path) -> None:
+    take, out = tmp_path / "band.take.usda", tmp_path / "clean.take.usda"
+    names = ("HB_L", "HB_R", "HB_T", "X4")
+    write_turning(take, band_motion_mm=0.0, band_names=names)
+    notes = execute(CleanSpec(take=take, out=out)).notes
+    assert any("HB_L, HB_R, HB_T, X4, of no part of a face by" in note for note in notes)
+    cleaned = read_take(out).markers
+    assert cleaned is not None
+    assert cleaned.rigid == names
 
 
 def test_a_head_without_rigid_markers_is_followed_by_the_most_rigid(tmp_path: Path) -> None:

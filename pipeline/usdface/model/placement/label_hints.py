@@ -19,18 +19,18 @@ Side = str
 _LEFT_RIGHT = re.compile(
     r"""^(?P<front>l|r|left|right)(?=[_\-. ]|(?:up(?:per)?|lo(?:w(?:er)?)?|in(?:ner)?|out(?:er)?|
         mid(?:dle)?)?(?:eye|bro|cheek|mouth|lip|nos|nstr|lid|chin|jaw|ear|temple|fore|front|f?hd|
-        head|orb|c\d))
+        f?head|orb|c\d))
       | (?:(?<=[_\-. ])|(?<=[a-z]))(?P<back>l|r|left|right)(?=\d*$|end$|[_\-. ])""",
     re.VERBOSE | re.IGNORECASE,
 )
 _INNER_WORD = re.compile(r"insid|inner|_in\b|_in_|inn|(?:brow|bro|eye)in(?![a-z])")
 _OUTER_WORD = re.compile(r"outsid|outer|_out\b|_out_|out")
 _UPPER_WORD = re.compile(r"up|top")
-_LOWER_WORD = re.compile(r"down|low|bot")
+_LOWER_WORD = re.compile(r"down|low|bot|lo_?li[pd]")
 _WORN = re.compile(r"head|skull|cap|band")
 _NOT_A_SIDE = re.compile(r"^(lip|lid|low|lower|root|ridge|rim)", re.IGNORECASE)
 _SIDED_WORD = re.compile(
-    r"""(?:brow?|eye|lid|nose|nasi|nstr|cheek|mouth|lip|chin|jaw|ear|temple|forehead|head|f?hd|skull
+    r"""(?:brow?|eye|lid|nose|nasi|nstr|cheek|mouth|lip|chin|jaw|ear|temple|forehead|f?head|f?hd|skull
         |orbi?|corner|upper|lower|inner|outer|up|low|in|out|mid|middle)$""",
     re.VERBOSE | re.IGNORECASE,
 )
@@ -232,11 +232,12 @@ def _nose(text: str, side: Side) -> _Place:
 def _eye(text: str, side: Side) -> _Place:
     if not side:
         return "eye", ()
-    if _INNER_WORD.search(text):
-        return "eye corner", (f"eye_inner_{side}",)
-    if _OUTER_WORD.search(text):
-        return "eye corner", (f"eye_outer_{side}",)
     part = "crease" if _UPPER_WORD.search(text) else "lower" if _LOWER_WORD.search(text) else ""
+    if not (part and "lid" in text):  # the outer marker of an upper lid is on the lid
+        if _INNER_WORD.search(text):
+            return "eye corner", (f"eye_inner_{side}",)
+        if _OUTER_WORD.search(text):
+            return "eye corner", (f"eye_outer_{side}",)
     if part:
         return "lid", (f"lid_{part}_{side}",)
     return "eye", (f"lid_crease_{side}", f"lid_lower_{side}")
@@ -263,7 +264,7 @@ def _only(region: str) -> Callable[[str, Side], _Place]:
 
 _PARTS = (
     (r"band", _only("skull")),
-    (r"fore|front(?!al_)|fhd|^fh\d", _only("forehead")),
+    (r"fore|front(?!al_)|fhd|fhead|^fh\d", _only("forehead")),
     (r"brow|bro\d|bro$", _brow),
     (r"nose|nasi|nostr|nstr", _nose),
     (r"eye|lid", _eye),

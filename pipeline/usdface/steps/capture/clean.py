@@ -164,10 +164,10 @@ def _head_markers(
 ) -> tuple[tuple[str, ...], FloatArray | None]:
     """Return the rigid markers and, if all markers are used, the expected motion of each [mm].
 
-    In this order: named markers; markers labelled as on a head band, if their mutual distances are
-    constant; all markers, weighted by the parts of the face in their labels; a detected set of
-    constant distances, none labelled as on jaw, mouth or lids, which differs between takes (the
-    forehead in one, cheeks in another).
+    In this order: named markers; those labelled as on a head band, or with labels of no part of the
+    face among labels of parts, if their mutual distances are constant; all markers, weighted by the
+    parts of the face in their labels; a detected set of constant distances, none labelled as on
+    jaw, mouth or lids, which differs between takes (the forehead in one, cheeks in another).
     """
     named = spec.rigid or markers.rigid
     unknown = [name for name in named if name not in markers.names]
@@ -179,30 +179,31 @@ def _head_markers(
     if named:
         notes += _soft_notes(named)
         return named, None
+    regions = [label_hint(name).region for name in markers.names]
+    labelled = sum(map(bool, regions)) >= _LEAST_HINTED_SHARE * len(regions)
     worn = [index for index, name in enumerate(markers.names) if is_on_headgear(name)]
-    with contextlib.suppress(ValueError):
-        found = _find_rigid(take, markers, worn)
-        if found.is_rigid and found.residual_motion_mm <= _PROVEN_MOTION_MM:
-            names = tuple(markers.names[worn[index]] for index in found.indices)
-            notes.append(
-                f"no rigid markers were named; {first_few(names)}, of a head band by their labels, "
-                f"are used (their distances vary by {found.deviation_mm:.2f} mm)"
-            )
-            return names, None
+    no_part = [index for index, region in enumerate(regions) if labelled and not region]
+    for columns, labels in ((worn, "of a head band by"), (no_part, "of no part of a face by")):
+        with contextlib.suppress(ValueError):
+            found = _find_rigid(take, markers, columns)
+            if found.is_rigid and found.residual_motion_mm <= _PROVEN_MOTION_MM:
+                names = tuple(markers.names[columns[index]] for index in found.indices)
+                notes.append(
+                    f"no rigid markers were named; {first_few(names)}, {labels} their labels, are "
+                    f"used (their distances vary by {found.deviation_mm:.2f} mm)"
+                )
+                return names, None
     motion = skin_motion_mm(markers.names)
     still = tuple(
         name for name, mm in zip(markers.names, motion, strict=True) if mm <= _SKULL_MOTION_MM
     )
-    hinted = sum(bool(label_hint(name).region) for name in markers.names)
-    if len(still) > FEWEST_RIGID and hinted >= _LEAST_HINTED_SHARE * len(markers.names):
+    if len(still) > FEWEST_RIGID and labelled:
         notes.append(
             "no rigid markers were named; the head's pose is estimated from all markers, weighted "
             f"by the rigidity of their part of the face ({first_few(still)} have most weight)"
         )
         return still, motion
-    firm = [
-        i for i, name in enumerate(markers.names) if label_hint(name).region not in _NEVER_RIGID
-    ]
+    firm = [index for index, region in enumerate(regions) if region not in _NEVER_RIGID]
     if len(firm) <= FEWEST_RIGID:
         firm = list(range(len(markers.names)))
     try:
