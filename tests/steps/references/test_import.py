@@ -50,6 +50,17 @@ def test_rows_at_no_pair_are_named(tmp_path: Path) -> None:
     assert noted(result, "not imported: 1 of 3 rows have numbers of no pair (13)")
 
 
+def test_a_file_of_another_rigs_names_is_refused_and_tunes_nothing(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    frames = read_references(path).frames.tolist()
+    rows = [f"{frame},0.5,0.25,0.75,0" for frame in frames]
+    with pytest.raises(InputError, match=r"2 of its 3 shapes with weights \(hat, wig\) are not on"):
+        import_rows(path, ["frame,jawOpen,hat,wig,scarf", *rows])
+    assert not read_references(path).tuned.any()
+    few = [row.replace("0.75", "0") for row in rows]
+    assert import_rows(path, ["frame,jawOpen,hat,wig,scarf", *few]).figures["shapes"] == 1
+
+
 def test_pairs_that_the_range_of_a_file_misses_are_named(tmp_path: Path) -> None:
     path = asset(tmp_path)
     frames = read_references(path).frames

@@ -63,6 +63,8 @@ def run(spec: ReferencesImportSpec, *, provenance: Provenance, progress: Progres
         transfer = transfer_by_table(spec.names, given.names, references.shape_names)
         table = given.renamed(transfer)
     known = table.shapes_among(references.shape_names, file=spec.weights, owner="on the rig")
+    if spec.names is None:
+        _check_matched(spec, references, given, {*transfer.matched, *combinations})
     if is_usd_name(spec.weights):
         _check_size(spec, references, table, known)
     pairs = _pairs(spec, references, table, known)
@@ -123,6 +125,25 @@ def _pairs_of_references(spec: ReferencesImportSpec) -> WeightTable | None:
     )
 
 
+def _check_matched(
+    spec: ReferencesImportSpec, references: References, given: WeightTable, matched: set[str]
+) -> None:
+    """Refuse a file that lacks most of the shapes, and of which most that move are not on the rig.
+
+    The pairs would count as tuned, with nearly all shapes at 0.
+    """
+    moving = [given.names[column] for column in np.flatnonzero((given.weights != 0).any(axis=0))]
+    lost = [name for name in moving if name not in matched]
+    found = len(matched.intersection(given.names))
+    if 2 * len(lost) > len(moving) and 2 * found < len(references.shape_names):
+        raise InputError(
+            f"{spec.weights}: {len(lost)} of its {pluralize(len(moving), 'shape')} with weights "
+            f"({first_few(lost, most=3)}) are not on the rig, or not clearly one of its "
+            f"{len(references.shape_names)} ({first_few(references.shape_names, most=3)}); pair "
+            "them in a table with --names (`usdface names`)"
+        )
+
+
 def _check_size(
     spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
 ) -> None:
@@ -161,7 +182,8 @@ def _row_notes(
         notes.append(
             f"not imported: {len(unmatched)} of {pluralize(len(table.frames), 'row')} {reason}"
         )
-    between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
+    keys = [pair.frame if spec.at == "frames" else pair.pair + 1 for pair in pairs]
+    between = sum(key not in table.keyed for key in keys)
     if between:
         notes.append(
             f"interpolated between keys of {spec.weights.name}: {pluralize(between, 'pair')}"
@@ -266,10 +288,6 @@ def _timed_take(path: Path) -> tuple[Take, Video]:
             f"{path}: has no video, which --at video needs; ingest it with --video and align it"
         )
     return take, take.video
-
-
-def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
-    return pair.frame if spec.at == "frames" else pair.pair + 1
 
 
 def _unmatched_rows(
