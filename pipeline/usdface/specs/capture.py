@@ -299,9 +299,8 @@ class CleanSpec(Spec):
     """The cleaned take to write."""
     rigid: tuple[Name, ...] = ()
     """Markers that move with the skull only. Default: those of the take; otherwise those labelled
-    as on a head band (head, band, cap), or as on no part of the face, if their distances are
-    constant; otherwise, if labels name parts of the face, all markers, weighted by the rigidity of
-    their part; otherwise detected."""
+    as on a head band (head, band, cap) or on no part of the face, if their distances are constant;
+    otherwise, if labels name parts, all markers, weighted by their rigidity; or detected."""
     neutral: int | None = None
     """Frame number of the neutral face. Default: that of the take."""
     max_gap: Annotated[int, Field(ge=0)] | None = None

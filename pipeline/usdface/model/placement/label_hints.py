@@ -81,10 +81,7 @@ def upper_lid_sides(labels: Sequence[str]) -> set[Side]:
 
 def mirrored_label(label: str) -> tuple[str, ...]:
     """Return possible labels of the same marker on the other side; empty without a side."""
-    side = side_of_label(label)
-    if not side:
-        return ()
-    candidates = []
+    side, candidates = side_of_label(label), []
     for found in _LEFT_RIGHT.finditer(label):
         group = "front" if found["front"] else "back"
         if found[group][0].upper() == side:
@@ -254,10 +251,6 @@ def _mouth(text: str, side: Side) -> _Place:
     return "mouth", (f"lip_{part}", f"mouth_{side}") if side else (f"lip_{part}",)
 
 
-def _chin(text: str, side: Side) -> _Place:
-    return "chin", () if side else ("chin",)
-
-
 def _only(region: str) -> Callable[[str, Side], _Place]:
     return lambda text, side: (region, ())
 
@@ -269,7 +262,7 @@ _PARTS = (
     (r"nose|nasi|nostr|nstr", _nose),
     (r"eye|lid", _eye),
     (r"mouth|lip|^mou\d", _mouth),
-    (r"chin|^ch\d", _chin),
+    (r"chin|^ch\d", lambda text, side: ("chin", () if side else ("chin",))),
     (r"jaw", _only("jaw")),
     (r"cheek|orbi|^[lr]c\d", _only("cheek")),
     (r"ear|temple|head|skull|tragus|cap", _only("skull")),

@@ -76,9 +76,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress) -> StepR
     markers, notes = _without_copies(markers, take, neutral)
     rigid, prior = _head_markers(spec, take, markers, notes)
     _check_neutral(spec, take, markers, rigid, neutral)
-    max_gap = spec.max_gap
-    if max_gap is None:
-        max_gap = round(LONGEST_GAP_SECONDS * float(take.rate))
+    usual_gap = round(LONGEST_GAP_SECONDS * float(take.rate))
     with as_input_error(f"{spec.take}: cannot be cleaned"):
         cleaned = clean_markers(
             markers.positions,
@@ -87,7 +85,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress) -> StepR
             neutral=neutral - take.first_frame,
             rate=float(take.rate),
             skin_motion_mm=prior,
-            max_gap=max_gap,
+            max_gap=usual_gap if spec.max_gap is None else spec.max_gap,
             smooth=spec.smooth,
             # A model names landmarks by what they show.
             relabel=spec.relabel and not are_image_landmarks(markers.names),
@@ -185,7 +183,7 @@ def _head_markers(
     no_part = [index for index, region in enumerate(regions) if labelled and not region]
     for columns, labels in ((worn, "of a head band by"), (no_part, "of no part of a face by")):
         with contextlib.suppress(ValueError):
-            found = _find_rigid(take, markers, columns)
+            found = _find_rigid(markers, columns)
             if found.is_rigid and found.residual_motion_mm <= _PROVEN_MOTION_MM:
                 names = tuple(markers.names[columns[index]] for index in found.indices)
                 notes.append(
@@ -207,7 +205,7 @@ def _head_markers(
     if len(firm) <= FEWEST_RIGID:
         firm = list(range(len(markers.names)))
     try:
-        found = _find_rigid(take, markers, firm)
+        found = _find_rigid(markers, firm)
     except ValueError as error:
         raise InputError(
             f"{spec.take}: no rigid markers are named and none were detected: {error}, with --rigid"
@@ -227,17 +225,15 @@ def _head_markers(
     return names, None
 
 
-def _find_rigid(take: Take, markers: Markers, columns: Sequence[int]) -> RigidMarkers:
+def _find_rigid(markers: Markers, columns: Sequence[int]) -> RigidMarkers:
     """Detect markers of constant mutual distances among some columns."""
     # Frames without any marker are padding.
     recorded = np.flatnonzero(markers.visible.any(axis=1))
-    whole = len(recorded) == take.frame_count  # then long takes are not copied
     positions, visible = markers.positions, markers.visible
     if len(columns) < len(markers.names):
         positions, visible = positions[:, columns], visible[:, columns]
-    return find_rigid_markers(
-        positions if whole else positions[recorded], visible if whole else visible[recorded]
-    )
+    rows = slice(None) if len(recorded) == len(visible) else recorded  # long takes are not copied
+    return find_rigid_markers(positions[rows], visible[rows])
 
 
 def _soft_notes(names: tuple[str, ...]) -> list[str]:

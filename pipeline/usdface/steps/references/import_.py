@@ -128,19 +128,15 @@ def _pairs_of_references(spec: ReferencesImportSpec) -> WeightTable | None:
 def _check_matched(
     spec: ReferencesImportSpec, references: References, given: WeightTable, matched: set[str]
 ) -> None:
-    """Refuse a file that lacks most of the shapes, and of which most that move are not on the rig.
-
-    The pairs would count as tuned, with nearly all shapes at 0.
-    """
+    """Refuse a file of another rig's names, of which pairs would be tuned with most shapes at 0."""
     moving = [given.names[column] for column in np.flatnonzero((given.weights != 0).any(axis=0))]
     lost = [name for name in moving if name not in matched]
     found = len(matched.intersection(given.names))
     if 2 * len(lost) > len(moving) and 2 * found < len(references.shape_names):
         raise InputError(
             f"{spec.weights}: {len(lost)} of its {pluralize(len(moving), 'shape')} with weights "
-            f"({first_few(lost, most=3)}) are not on the rig, or not clearly one of its "
-            f"{len(references.shape_names)} ({first_few(references.shape_names, most=3)}); pair "
-            "them in a table with --names (`usdface names`)"
+            f"({first_few(lost, most=3)}) are not on the rig, or not clearly one of its shapes "
+            f"({first_few(references.shape_names, most=3)}); match them: `usdface names`, --names"
         )
 
 
@@ -182,9 +178,8 @@ def _row_notes(
         notes.append(
             f"not imported: {len(unmatched)} of {pluralize(len(table.frames), 'row')} {reason}"
         )
-    keys = [pair.frame if spec.at == "frames" else pair.pair + 1 for pair in pairs]
-    between = sum(key not in table.keyed for key in keys)
-    if between:
+    between = sum(pair.frame not in table.keyed for pair in pairs)
+    if between and spec.at == "frames":
         notes.append(
             f"interpolated between keys of {spec.weights.name}: {pluralize(between, 'pair')}"
         )
@@ -348,11 +343,6 @@ def _pairs(
     row_of: dict[object, int] = dict(
         index_of(zip(table.takes, table.frames, strict=True)) if by_take else index_of(table.frames)
     )
-    keys = (
-        references.frames
-        if spec.at == "frames"
-        else np.arange(1, len(references.frames) + 1, dtype=np.int64)
-    )
     if spec.at == "frames" and len(set(references.takes)) > 1 and not by_take:
         raise InputError(
             f"{spec.references}: its pairs are of {len(set(references.takes))} takes, so frame "
@@ -366,8 +356,10 @@ def _pairs(
             "the `take` column"
         )
     pairs = []
-    for pair, number in enumerate(keys.tolist()):
-        key = (references.takes[pair], number) if by_take else number
+    for pair, (take, frame) in enumerate(
+        zip(references.takes, references.frames.tolist(), strict=True)
+    ):
+        key = (take, frame) if by_take else frame if spec.at == "frames" else pair + 1
         if key not in row_of:
             continue
         if spec.at != "frames" and key not in table.keyed:
@@ -378,6 +370,5 @@ def _pairs(
         row = np.array([row_of[key]])
         for name in known:
             weights[name] = float(undo_clamping(table, name, row, np.array([weights[name]]))[0])
-        take, frame = references.takes[pair], int(references.frames[pair])
         pairs.append(TunedPair(pair, take, frame, weights, author=spec.author))
     return pairs
