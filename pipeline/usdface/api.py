@@ -24,8 +24,8 @@ from usdface.runner.state import StepState, job_states
 from usdface.specs.job import SPEC_BY_STEP
 from usdface.specs.reading import read_job, validation_messages
 from usdface.specs.references import ReferencesImportSpec
+from usdface.steps.edits.validate import check_layer
 from usdface.usdio import mapping as mapping_files
-from usdface.usdio import validation
 from usdface.usdio.performance import read as performance_files
 from usdface.usdio.references import read as references_files
 from usdface.usdio.rig import read as rig_files
@@ -179,8 +179,8 @@ def check_job(job: Path | str) -> list[StepState]:
 
 
 def validate(layer: Path | str) -> list[Finding]:
-    """Return the findings of the validators of USD and usdface on a USD file."""
-    return validation.validate(Path(layer))
+    """Return the findings of the validators of USD and usdface, and the verdict, on a USD file."""
+    return check_layer(Path(layer))
 
 
 def read_take(file: Path | str, *, first: int | None = None, last: int | None = None) -> Take:

@@ -8,6 +8,7 @@ from pxr import Sdf
 
 from tests.cli.test_commands import run as usdface
 from tests.steps.small_shot import Shot
+from usdface.api import validate
 from usdface.core.errors import InputError
 from usdface.core.sidecars import weights_path
 from usdface.publish import (
@@ -62,6 +63,8 @@ def test_validate_says_the_verdict(
     assert usdface("validate", str(hero), "--json", *option) == code
     (found,) = json.loads(capsys.readouterr().out)["figures"].values()
     assert [each["severity"] for each in found] == ([] if severity is None else [severity])
+    if limit is None:
+        assert [each.severity for each in validate(hero)] == [each["severity"] for each in found]
     for each in found:
         assert each["check"] == "usdface:Verdict"
         assert each["where"] == f"{hero} <{PerformanceReader(hero).animation.GetPath()}>"
