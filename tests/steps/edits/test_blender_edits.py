@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdSkel, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from tests.usdio.references.test_references import small_references, write
 from tests.usdio.small_rig import small_rig
@@ -25,7 +25,7 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import append_rig_shapes, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.references.read import read_references
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.read import channels_per_mesh, read_rig
 from usdface.usdio.rig.write import write_rig
 
 FIRST, LAST = 101, 110
@@ -321,6 +321,17 @@ def test_a_rig_that_maya_exported_moves_a_shape_on_every_mesh(tmp_path: Path) ->
     for mesh in curves.values():
         mesh["jawOpen"][3] = 0.9
     assert bring_back(path, exported(tmp_path, curves, **MAYA)).figures["frames"] == 1
+
+
+def test_targets_that_are_named_after_their_mesh_are_one_shape() -> None:
+    stage, bindings = Usd.Stage.CreateInMemory(), []
+    for mesh in ("head_GEO", "teeth_GEO"):
+        binding = UsdSkel.BindingAPI.Apply(UsdGeom.Mesh.Define(stage, f"/{mesh}").GetPrim())
+        binding.CreateBlendShapesAttr([f"{mesh}.jawOpen"])
+        binding.CreateBlendShapeTargetsRel().SetTargets([f"/{mesh}/{mesh}_jawOpen"])
+        bindings.append(binding)
+    channels = ["head_GEO.jawOpen", "teeth_GEO.jawOpen"]
+    assert channels_per_mesh(bindings) == {"jawOpen": channels}
 
 
 def test_channels_of_a_single_mesh_keep_their_names(tmp_path: Path) -> None:

@@ -15,10 +15,9 @@ from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.usdio.authoring import names_in
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader, animations_of_skeletons
-from usdface.usdio.rig.read import channels_per_mesh
+from usdface.usdio.rig.read import channel_shapes, channels_per_mesh
 
 MAKER = "Blender"
 """Prefix of the documentation of an exported layer: ``Blender v5.0.1``."""
@@ -85,10 +84,8 @@ def read_exported_weights(path: Path) -> ExportedWeights | None:
         values = reader.edited().astype(np.float64)
         columns = dict(zip(reader.names, values.T, strict=True))
         for mesh in _meshes(stage, reader.animation.GetPath()):
-            targets = mesh.GetBlendShapeTargetsRel().GetTargets()
-            channels = names_in(mesh.GetBlendShapesAttr())
-            shapes = dict(zip(channels, (each.name for each in targets), strict=False))
-            of_mesh = {shape: columns[name] for name, shape in shapes.items() if name in columns}
+            shape_of = channel_shapes(mesh).items()
+            of_mesh = {shape: columns[name] for name, shape in shape_of if name in columns}
             by_mesh.append((len(of_mesh), mesh.GetPrim().GetName(), of_mesh))
     curves: dict[str, list[MeshCurve]] = {}
     for _, mesh_name, of_mesh in sorted(by_mesh, key=lambda mesh: (-mesh[0], mesh[1])):

@@ -91,6 +91,20 @@ def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
             yield str(name), root.GetStage().GetPrimAtPath(target)
 
 
+def channel_shapes(mesh: UsdSkel.BindingAPI) -> dict[str, str]:
+    """Return the name of the BlendShape prim of each channel of a mesh.
+
+    Without the mesh's name, `head_GEO_jawOpen`, unless the channel is named like the prim.
+    """
+    channels = names_in(mesh.GetBlendShapesAttr())
+    targets = [each.name for each in mesh.GetBlendShapeTargetsRel().GetTargets()]
+    own = f"{mesh.GetPrim().GetName()}_"
+    return {
+        channel: target if channel == target else target.removeprefix(own)
+        for channel, target in zip(channels, targets, strict=False)
+    }
+
+
 def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[str]]:
     """Return each shape's channels if these are named after mesh and shape, as in Maya.
 
@@ -99,12 +113,11 @@ def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[st
     """
     by_mesh = []
     for mesh in meshes:
-        channels = names_in(mesh.GetBlendShapesAttr())
-        shapes = [each.name for each in mesh.GetBlendShapeTargetsRel().GetTargets()]
-        prefixes = {each.removesuffix(name) for each, name in zip(channels, shapes, strict=False)}
-        if len(prefixes) > 1 or prefixes & {"", *channels}:
+        shape_of = channel_shapes(mesh)
+        prefixes = {channel.removesuffix(shape) for channel, shape in shape_of.items()}
+        if len(prefixes) > 1 or prefixes & {"", *shape_of}:
             return {}
-        by_mesh.append(dict(zip(shapes, channels, strict=False)))
+        by_mesh.append({shape: channel for channel, shape in shape_of.items()})
     by_shape: dict[str, list[str]] = {}
     for channel_of in sorted(by_mesh, key=len, reverse=True):
         for shape, channel in channel_of.items():
