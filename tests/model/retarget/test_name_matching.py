@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks._published_names import PUBLISHED, Published
-from usdface.model.retarget.name_matching import match_names, transfer_matrix
+from usdface.model.retarget.name_matching import match_names, transfer_by_names, transfer_matrix
 from usdface.model.retarget.shape_names import read_meanings
 from usdface.model.retarget.shape_vocabulary import ARKIT
 
@@ -36,6 +36,14 @@ def test_published_names_find_their_counterparts_and_no_other(given: Published) 
 def test_what_all_names_share_says_nothing(prefix: str) -> None:
     dressed = [prefix + name for name in ARKIT]
     assert matched(dressed) == set(zip(ARKIT, dressed, strict=True))
+
+
+def test_shapes_of_one_meaning_are_told_apart_by_names_that_differ_in_a_prefix() -> None:
+    own = ("cheekSquint_L", "cheekRaiser_L", "jawOpen")
+    dressed = [f"head_GEO.{name}" for name in own]
+    for source, target in ((own, dressed), (dressed, own)):
+        transfer = transfer_by_names(source, target)
+        np.testing.assert_array_equal(transfer.matrix, np.eye(3))
 
 
 def test_a_shared_word_that_is_part_of_the_names_stays() -> None:

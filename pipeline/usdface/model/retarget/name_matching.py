@@ -7,7 +7,8 @@ matched by Epic's poses, and in the other direction by least squares.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from os.path import commonprefix
 
 import numpy as np
 
@@ -87,8 +88,16 @@ class Transfer:
 def match_names(source: Sequence[str], target: Sequence[str]) -> NameMatching:
     """Match the shapes of two rigs by name, and list ambiguous shapes.
 
-    If one side of a motion is ambiguous, neither side is matched.
+    If one side of a motion is ambiguous, neither side is matched. A prefix of all names of a rig,
+    such as `bs_`, is no difference if more names are equal without it.
     """
+    bare = _without_prefix(source), _without_prefix(target)
+    if len(set(bare[0]).intersection(bare[1])) > len(set(source).intersection(target)):
+        own, other = (
+            dict(zip(bare[0], source, strict=True)),
+            dict(zip(bare[1], target, strict=True)),
+        )
+        return _with_names(match_names(*bare), own, other)
     same = [name for name in source if name in set(target)]
     source_meanings, target_meanings = read_meanings(source), read_meanings(target)
     excluded: dict[str, str] = {}
@@ -126,6 +135,28 @@ def match_names(source: Sequence[str], target: Sequence[str]) -> NameMatching:
         )
     )
     return NameMatching(tuple(ordered), notes, by)
+
+
+def _without_prefix(names: Sequence[str]) -> list[str]:
+    """Return names without what all have in common up to a separator."""
+    common = commonprefix(list(names))  # noqa: RUF071 (names are no paths)
+    start = max(common.rfind(separator) for separator in "_.:") + 1
+    return [name[start:] for name in names]
+
+
+def _with_names(
+    matching: NameMatching, source: Mapping[str, str], target: Mapping[str, str]
+) -> NameMatching:
+    """Return a matching with other names of the shapes of its matches."""
+    matches = tuple(
+        NameMatch(
+            match.name,
+            tuple((source[name], weight) for name, weight in match.source),
+            tuple((target[name], weight) for name, weight in match.target),
+        )
+        for match in matching.matches
+    )
+    return replace(matching, matches=matches)
 
 
 def _shares_cells(name: str, own: Mapping[str, Meaning], others: Mapping[str, Meaning]) -> bool:
