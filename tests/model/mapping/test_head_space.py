@@ -56,6 +56,16 @@ def test_markers_are_matched_by_name_in_any_order() -> None:
     assert (space.missing, space.extra) == ((), ("nose_extra",))
 
 
+def test_another_calibration_is_told_from_markers_that_were_put_on_again() -> None:
+    face = synthetic_face()
+    larger = markers_of(face, positions=(1.02 * face.positions).astype(np.float32))
+    space = find_head_space(face_of_mapping(trained()), larger, rate=60.0)
+    assert space.scale == pytest.approx(1.02, abs=1e-3)
+    shift = 0.8 * np.random.default_rng(1).standard_normal(face.positions.shape[1:])
+    again = markers_of(face, positions=(face.positions + shift).astype(np.float32))
+    assert find_head_space(face_of_mapping(trained()), again, rate=60.0).scale == 1.0
+
+
 def test_missing_markers_are_marked_unseen() -> None:
     face = synthetic_face()
     kept = [i for i in range(len(face.names)) if i not in (9, 14)]
