@@ -192,7 +192,10 @@ def test_a_viewer_that_scrubs_sees_each_pair_on_the_rig(tmp_path: Path) -> None:
         np.testing.assert_array_equal(query.ComputeBlendShapeWeights(pair + 1), row)
 
 
-def test_a_rig_in_other_units_stands_at_its_size_beside_the_markers(tmp_path: Path) -> None:
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_rig_in_other_units_stands_at_its_size_beside_the_markers(
+    tmp_path: Path, reset: bool
+) -> None:
     references = small_references(tmp_path)
     write_rig(references.rig_file, small_rig())
     before = read_rig(references.rig_file).meshes[0].points
@@ -203,6 +206,7 @@ def test_a_rig_in_other_units_stands_at_its_size_beside_the_markers(tmp_path: Pa
     top.ClearXformOpOrder()
     top.AddScaleOp(opSuffix="small").Set((0.01, 0.01, 0.01))
     top.AddRotateXOp(opSuffix="up").Set(90)
+    top.SetResetXformStack(reset)
     rig.Save()
     np.testing.assert_allclose(read_rig(references.rig_file).meshes[0].points, before, atol=1e-4)
     stage = Usd.Stage.Open(str(write(tmp_path, references)))

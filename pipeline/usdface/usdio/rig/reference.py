@@ -75,10 +75,11 @@ def convert_to_our_units(layer: Sdf.Layer, rig_path: str, rig: Rig) -> None:
     if np.allclose(ours, np.eye(3)):
         return
     top = UsdGeom.Xformable(stage.GetPrimAtPath(top_path(rig.prim)))
-    operations = list(top.GetXformOpOrderAttr().Get() or ()) if top else []
+    operations = [each.GetOpName() for each in top.GetOrderedXformOps()] if top else []
+    reset = [UsdGeom.XformOpTypes.resetXformStack] if top and top.GetResetXformStack() else []
     prim = Sdf.CreatePrimInLayer(layer, rig_path)
     Sdf.AttributeSpec(prim, UNITS, Sdf.ValueTypeNames.Matrix4d).default = row_matrix(ours)
-    order = [UNITS, *map(str, operations)]
+    order = [*reset, UNITS, *operations]  # USD drops what is before a reset
     author_uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
 
 
