@@ -89,11 +89,7 @@ READERS: dict[str, tuple[str, str, Read]] = {
         "filmed.usda",
         "filmed.usda",
         lambda path: StageCamera(
-            path,
-            "/Camera",
-            rig_file=path.with_name("hero.usdc"),
-            rig_prim=read_rig(path.with_name("hero.usdc")).prim,
-            rate=Fraction(120),
+            path, "/Camera", read_rig(path.with_name("hero.usdc")), rate=Fraction(120)
         ).at(48),
     ),
 }

@@ -217,6 +217,42 @@ def test_pictures_are_posed_as_usdskel_poses(tmp_path: Path) -> None:
     assert still > 5
 
 
+@pytest.mark.parametrize("driven", ["/Hero", "/Hero/root"])
+def test_a_stages_camera_sees_a_driven_character_where_usd_does(
+    tmp_path: Path, driven: str
+) -> None:
+    write_rig(tmp_path / "hero.usda", small_rig("/Hero/root"))
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "hero.usda"))
+    layer.GetPrimAtPath("/Hero").typeName = "Xform"
+    layer.Save()
+    out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
+    drive = ("--drive", f"head={driven}", "--rig", tmp_path / "hero.usda")
+    assert usdface("retarget", source, "--rate", 30, *drive, "--out", out) == 0
+    scene = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))
+    scene.SetTimeCodesPerSecond(30)
+    walk = UsdGeom.Xform.Define(scene, "/World").AddTranslateOp()
+    walk.Set(Gf.Vec3d(0, 0, 0), 1)
+    walk.Set(Gf.Vec3d(0, 8, 3), FRAMES)
+    hero = UsdGeom.Xform.Define(scene, "/World/hero").GetPrim()
+    hero.GetReferences().AddReference("./shot.hero.usda")
+    lens = UsdGeom.Camera.Define(scene, "/cam")
+    lens.AddTranslateOp().Set(Gf.Vec3d(15, 10, 200))
+    lens.CreateHorizontalApertureAttr(lens.GetVerticalApertureAttr().Get())
+    scene.Save()
+    shot = open_shot(out)
+    camera = shot.camera("/cam", tmp_path / "scene.usda")
+    root = scene.GetPrimAtPath(driven.replace("/Hero", "/World/hero"))
+    for row in (0, 30):
+        weights, world = shot.weights[row], UsdGeom.XformCache(row + 1)
+        frustum = lens.GetCamera(row + 1).frustum
+        seen = world.GetLocalToWorldTransform(root)
+        seen *= frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+        at_rest = shot.pose(row, weights, still=True) / 10
+        flat = np.array([seen.Transform(Gf.Vec3d(*each.tolist()))[:2] for each in at_rest])
+        drawn = camera.at(row + 1).project(shot.pose(row, weights), width=100, height=100)
+        np.testing.assert_allclose(drawn[:, :2], 50 + 50 * flat * [1, -1], atol=0.01)
+
+
 def test_joints_that_an_animator_keyed_are_drawn_without_a_take(tmp_path: Path) -> None:
     rig = write_creature(tmp_path / "beast.usda")
     out = tmp_path / "p.usda"

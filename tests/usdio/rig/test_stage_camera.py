@@ -55,8 +55,7 @@ def make_shot(folder: Path, *, projection: str = "perspective", characters: int 
 
 
 def camera_of(shot: Path, hero: Path, name: str = "/World/rail/cam") -> StageCamera:
-    rig = read_rig(hero)
-    return StageCamera(shot, name, rig_file=hero, rig_prim=rig.prim, rate=Fraction(48))
+    return StageCamera(shot, name, read_rig(hero), rate=Fraction(48))
 
 
 def as_usd_sees(shot: Path, points: np.ndarray, time: float) -> np.ndarray:
@@ -143,6 +142,23 @@ def test_a_stage_without_cameras_says_where_to_look(hero: Path) -> None:
 def test_two_of_one_character_are_refused(hero: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"there 2 times, </World/hero0/rig>, </World/hero1/rig>"):
         camera_of(make_shot(tmp_path, characters=2), hero)
+
+
+def test_characters_of_one_base_are_told_apart(hero: Path, tmp_path: Path) -> None:
+    for name in ("young", "old"):
+        stage = Usd.Stage.CreateNew(str(tmp_path / f"{name}.usda"))
+        stage.SetDefaultPrim(stage.DefinePrim(f"/{name}"))
+        stage.GetDefaultPrim().GetReferences().AddReference("./hero.usda")
+        stage.Save()
+    shot = make_shot(tmp_path, characters=2)
+    layer = Sdf.Layer.FindOrOpen(str(shot))
+    for number, name in enumerate(("young", "old")):
+        references = layer.GetPrimAtPath(f"/World/hero{number}/rig").referenceList
+        references.prependedItems = [Sdf.Reference(f"./{name}.usda")]
+    layer.GetAttributeAtPath("/World/hero1.xformOp:scale").default = Gf.Vec3f(0.02)
+    layer.Save()
+    young, old = (camera_of(shot, tmp_path / f"{name}.usda").at(3).eye for name in ("young", "old"))
+    np.testing.assert_allclose(young, 2 * old, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,8 @@ class ShotCamera:
     """
 
     def __init__(self, shot: "Shot", name: str = AUTO_CAMERA, stage: Path | None = None) -> None:
-        rig, performance = shot.rig, shot.performance
-        self._rig, self._motion = rig, shot.motion
+        rig = self._rig = shot.rig
+        self._motion = shot.motion
         reach = motion_weights(rig.meshes)
         self._points = np.concatenate([mesh.points for mesh in rig.meshes])
         self._face = reach > 0 if reach.any() else np.ones(len(reach), bool)
@@ -54,9 +54,9 @@ class ShotCamera:
             self._stage = StageCamera(
                 stage or shot.performance_file,
                 name,
-                rig_file=performance.rig_file,
-                rig_prim=performance.rig_prim,
-                rate=performance.weights.rate,
+                rig,
+                rate=shot.performance.weights.rate,
+                motion=shot.motion if isinstance(shot.motion, RigMotion) else None,
             )
 
     def at(self, frame: int, *, still: bool = False) -> Camera:

@@ -70,6 +70,8 @@ class RigMotion(PointMotion):
         top = UsdGeom.Xformable(stage.GetPrimAtPath(rig_path))
         if top and top.TransformMightBeTimeVarying():
             source, rig_path = Sdf.Path.absoluteRootPath, rig_path.GetParentPath()
+        self.levels_up = posed.pathElementCount - rig_path.pathElementCount
+        """From the SkelRoot to the prim relative to which points move."""
         self._rest, self._posed = _Placement(rest, root, source), _Placement(stage, posed, rig_path)
         self._ours = self._ours @ self._rest.world_of_base(Usd.TimeCode.Default())
         self._parts: list[tuple[Sdf.Path, int]] = []

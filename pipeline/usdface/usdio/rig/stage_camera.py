@@ -4,18 +4,21 @@ A shot may move and scale its characters, and have other units. Pictures of a fa
 rig's space, so the camera is transformed by the inverse of the character's transform.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.usdio.authoring import prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
+from usdface.usdio.rig.rig_motion import RigMotion
 from usdface.usdio.units import column_matrix, millimetres_per_unit, rest_transforms, stage_to_ours
 
 _UNITS_PER_TENTH = 0.1  # apertures and focal lengths count tenths of a scene unit
@@ -45,30 +48,35 @@ class StageCamera:
 
     Parameters
     ----------
-    rig_prim : str
+    rig : Rig
         The character.
     rate : Fraction
         Frames per second of the frame numbers; converted to the stage's rate.
+    motion : RigMotion, optional
+        Of the drawn points; a stage with its performance moves the character by it as well.
     """
 
     @refusing_wrong_types
     def __init__(
-        self, path: Path, prim: str, *, rig_file: Path, rig_prim: str, rate: Fraction
+        self, path: Path, prim: str, rig: Rig, *, rate: Fraction, motion: RigMotion | None = None
     ) -> None:
         self.path = path
         self._stage = open_stage(path)
         self._camera = UsdGeom.Camera(_camera(self._stage, path, prim))
         self._time_codes = self._stage.GetTimeCodesPerSecond() / float(rate)
-        rig = open_stage(rig_file)
-        home = rig.GetPrimAtPath(rig_prim)
+        rig_stage = open_stage(rig.file)
+        home = rig_stage.GetPrimAtPath(rig.prim)
         self._root = _character(self._stage, path, home)
         self.holds_character = self._root is not None
         """If not, the character is assumed at the stage's origin."""
         # USD does not convert the units of a referenced character.
-        unit = rig if self.holds_character else self._stage
+        unit = rig_stage if self.holds_character else self._stage
         self._ours = stage_to_ours(unit)
         self._millimetres_per_unit = millimetres_per_unit(unit)
-        self._home = rest_transforms(home).GetLocalToWorldTransform(home)
+        used = {Path(each.realPath).resolve() for each in self._stage.GetUsedLayers()}
+        levels = motion.levels_up if motion is not None and motion.path.resolve() in used else 0
+        self._root = self._root and _up_from(self._root)[: levels + 1][-1]
+        self._home = rest_transforms(home).GetLocalToWorldTransform(_up_from(home)[levels])
 
     @refusing_wrong_types
     def at(self, frame: int) -> StageView:
@@ -131,13 +139,16 @@ def _camera(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
 
 
 def _character(stage: Usd.Stage, path: Path, home: Usd.Prim) -> Usd.Prim | None:
-    """Return the SkelRoot composed of specs of the rig's; None without one."""
-    specs = {(spec.layer.realPath, spec.path) for spec in home.GetPrimStack()}
-    found = [
-        prim
-        for prim in prims_below(stage.GetPseudoRoot(), UsdSkel.Root)
-        if any((spec.layer.realPath, spec.path) in specs for spec in prim.GetPrimStack())
-    ]
+    """Return the SkelRoot composed of specs of the rig's; None without one.
+
+    Of characters of one base, that with the most specs of the rig's, with those of prims above.
+    """
+    specs, every = _specs((home,)), _specs(_up_from(home))
+    roots = prims_below(stage.GetPseudoRoot(), UsdSkel.Root)
+    shared = {
+        each: len(every & _specs(_up_from(each))) for each in roots if specs & _specs((each,))
+    }
+    found = [each for each, count in shared.items() if count == max(shared.values())]
     if len(found) > 1:
         paths = first_few(f"<{prim.GetPath()}>" for prim in found)
         raise InputError(
@@ -145,6 +156,16 @@ def _character(stage: Usd.Stage, path: Path, home: Usd.Prim) -> Usd.Prim | None:
             "them as --camera-stage"
         )
     return found[0] if found else None
+
+
+def _specs(prims: Iterable[Usd.Prim]) -> set[tuple[str, Sdf.Path]]:
+    return {(spec.layer.realPath, spec.path) for prim in prims for spec in prim.GetPrimStack()}
+
+
+def _up_from(prim: Usd.Prim) -> list[Usd.Prim]:
+    """Return a prim and those above it, up to the pseudo-root."""
+    above = prim.GetParent()
+    return [prim, *(_up_from(above) if above else ())]
 
 
 def _unit(vector: FloatArray) -> FloatArray:
