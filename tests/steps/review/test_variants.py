@@ -5,8 +5,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.steps.small_shot import Shot
 from tests.usdio.posed_points import PosedRig
+from usdface.core.progress import silent
 from usdface.runner.execute import execute
 from usdface.specs.edits import BakeSpec, EditSpec
+from usdface.specs.review import SheetSpec
+from usdface.steps.review.sheet_columns import compare_shots, open_shots
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.read import RANGE_ATTRIBUTE
@@ -65,3 +68,39 @@ def test_bake_limits_weights_to_the_ranges_of_the_variant_that_is_selected(shot:
     baked = PerformanceReader(shot / "stiff.usdc")
     weights = baked.solved()[:, baked.names.index("jawOpen")]
     np.testing.assert_allclose(weights, 0.1, atol=1e-6)
+
+
+def test_a_version_of_a_variant_with_other_shapes_is_not_measured_by_the_keys(shot: Shot) -> None:
+    rig = Usd.Stage.Open(str(shot / "hero.usdc"))
+    details = rig.GetDefaultPrim().GetVariantSets().AddVariantSet("detail")
+    bound = [UsdSkel.BindingAPI(each) for each in rig.Traverse() if each.IsA(UsdGeom.Mesh)]
+    every = [
+        (each, list(each.GetBlendShapesAttr().Get()), each.GetBlendShapeTargetsRel().GetTargets())
+        for each in bound
+        if each.GetBlendShapesAttr().Get()
+    ]
+    for each, _, _ in every:  # which would be stronger than the variants
+        each.GetPrim().RemoveProperty("skel:blendShapes")
+        each.GetPrim().RemoveProperty("skel:blendShapeTargets")
+    for detail in ("few", "all"):
+        details.AddVariant(detail)
+        details.SetVariantSelection(detail)
+        with details.GetVariantEditContext():
+            for each, names, targets in every:
+                kept = [i for i, name in enumerate(names) if detail == "all" or name != "cheekPuff"]
+                each.CreateBlendShapesAttr([names[i] for i in kept])
+                each.CreateBlendShapeTargetsRel().SetTargets([targets[i] for i in kept])
+    rig.Save()
+    other = Sdf.Layer.CreateAnonymous()
+    other.TransferContent(Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda")))
+    other.rootPrims[0].variantSelections["detail"] = "few"
+    other.Export(str(shot / "few.hero.usda"))
+    spec = SheetSpec(
+        performance=shot / "shot.hero.usda",
+        also=(shot / "few.hero.usda",),
+        against=shot / "keys.csv",
+        baseline=False,
+        out=shot / "s.png",
+    )
+    scores = compare_shots(spec, open_shots(spec), silent).scores
+    assert [each.against_truth for each in scores] == [True, False]

@@ -156,8 +156,8 @@ def open_shots(spec: SheetSpec) -> list[Shot]:
 
 
 def _same_face(shot: Shot, other: Shot) -> bool:
-    """Whether both shots have the same rig and face."""
-    faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
+    """Whether both shots have the same rig, face and shapes, which variants may change."""
+    faces = [(each.rig.file.resolve(), each.rig.prim, each.rig.shapes) for each in (shot, other)]
     return faces[0] == faces[1]
 
 
