@@ -139,6 +139,19 @@ def stated_spec(prim: Usd.Prim, name: str) -> tuple[Sdf.AttributeSpec, Sdf.Layer
     return next((each for each in stack if each[0].HasDefaultValue()), None)
 
 
+def file_of(prim: Usd.Prim, name: str) -> Path | None:
+    """Return the file that an attribute names, which may be missing; None without one.
+
+    Its path is relative to the layer that states it.
+    """
+    asset, found = value_of(prim, name), stated_spec(prim, name)
+    if asset is not None and not isinstance(asset, Sdf.AssetPath):
+        raise TypeError(f"{name} is {asset!r}, no path of a file")
+    if found is None or not asset or not asset.path:
+        return None
+    return Path(asset.resolvedPath or found[0].layer.ComputeAbsolutePath(asset.path))
+
+
 def text_of(prim: Usd.Prim, name: str, time: float | None = None) -> str:
     """Return a string or token of a prim, by default not at a time code; empty if missing."""
     attribute = prim.GetAttribute(name)
@@ -240,11 +253,12 @@ def prim_paths_in(layer: Sdf.Layer) -> list[Sdf.Path]:
 
 
 def sampled_properties(layer: Sdf.Layer) -> list[Sdf.Path]:
-    """Return the paths of the properties that have time samples in a layer."""
+    """Return the paths of the attributes that have time samples or a spline in a layer."""
+    attributes = filter(None, map(layer.GetAttributeAtPath, paths_in(layer)))
     return [
-        path
-        for path in paths_in(layer)
-        if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path)
+        each.path
+        for each in attributes
+        if each.HasSpline() or layer.GetNumTimeSamplesForPath(each.path)
     ]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdSkel
+from pxr import Sdf, Ts, Usd, UsdSkel
 
 from tests.usdio.small_creature import (
     RATE,
@@ -23,7 +23,7 @@ from usdface.core.replacing import replacing
 from usdface.core.sidecars import proposed_path
 from usdface.model.retarget.train import retarget, train_retargeting
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.retarget.pairs import merge_pairs, read_pairs, write_pairs
+from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, write_pairs
 from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting, write_retargeting
 from usdface.usdio.retarget.sequences import (
     read_matches,
@@ -46,6 +46,18 @@ def some_pairs(human: Rig, beast: Rig, count: int = 8) -> ExpressionPairs:
         target_rig=beast.file,
         target_prim=beast.prim,
     )
+
+
+def layer_above(path: Path) -> Path:
+    """Write an empty layer above another one, in a folder of its own."""
+    layer = Sdf.Layer.CreateAnonymous()
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(path)))
+    for prim in list(layer.rootPrims):
+        del layer.rootPrims[prim.name]
+    layer.subLayerPaths = [f"../{path.name}"]
+    above = path.parent / "above" / path.name
+    layer.Export(str(above))
+    return above
 
 
 @pytest.fixture
@@ -126,6 +138,25 @@ def test_what_an_animator_keys_above_goes_before_what_was_proposed(
     assert list(layer.subLayerPaths) == ["x.pairs.proposed.usda"]
 
 
+def test_controls_that_are_keyed_as_splines_are_keys(
+    written: tuple[Path, ExpressionPairs],
+) -> None:
+    path, _ = written
+    assert not keyed_above(path)
+    stage = Usd.Stage.Open(str(path))
+    curl, spline = stage.GetAttributeAtPath("/Pairs/Target/rig/lattice.dfm:curl"), Ts.Spline()
+    spline.SetKnot(Ts.Knot(time=8, value=0.5))
+    curl.SetSpline(spline)
+    stage.Save()
+    assert keyed_above(path) == (str(curl.GetPath()),)
+    np.testing.assert_allclose(read_pairs(path).target.values[:, 1], 0.5)
+    spline.SetKnot(Ts.Knot(time=9, value=0.5))
+    curl.SetSpline(spline)
+    stage.Save()
+    with pytest.raises(InputError, match="pair 9 has no source side"):
+        read_pairs(path)
+
+
 @pytest.mark.parametrize(
     ("prim", "side"), [("SourceWeights", "source"), ("TargetControls", "target")]
 )
@@ -187,6 +218,7 @@ def test_a_retargeting_predicts_the_same_to_the_last_bit(
             assert np.array_equal(value, getattr(other, field)), field
         assert back.scores == trained.scores
     assert is_retargeting(out)
+    assert read_retargeting(layer_above(out)).target_rig == pairs.target_rig
     assert not is_retargeting(path)
     with pytest.raises(InputError, match="not a retargeting"):
         read_retargeting(path)
@@ -267,7 +299,10 @@ def test_matches_come_back_and_deactivated_ones_do_not(tmp_path: Path) -> None:
         SequenceMatch(tmp_path / "s.usda", "joy", first, first + 19, 0.1) for first in (10, 50)
     )
     write_matches(tmp_path / "m.usda", matches, rate=Fraction(30), provenance=Provenance())
-    assert len(read_matches(tmp_path / "m.usda", rate=Fraction(30))) == 2
+    above = layer_above(tmp_path / "m.usda")
+    for path in (tmp_path / "m.usda", above):
+        back = read_matches(path, rate=Fraction(30))
+        assert [each.sequence for each in back] == [tmp_path / "s.usda"] * 2
     with pytest.raises(
         InputError, match="of a take with 30 per second, not 60; find the sequences"
     ):

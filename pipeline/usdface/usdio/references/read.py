@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, json_object
 from usdface.core.trajectories import TRAJECTORY_SECONDS
-from usdface.usdio.authoring import names_in, read_array_samples, text_of, value_of
+from usdface.usdio.authoring import file_of, names_in, read_array_samples, text_of, value_of
 from usdface.usdio.layers import read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
 from usdface.usdio.rig.read import read_rig
@@ -96,7 +96,7 @@ def read_references(path: Path) -> References:
         session=text_of(root, "face:session"),
         neutral_take=text_of(root, "face:neutralTake"),
         rate=_read_rate(root, path),
-        placement=_read_placement_path(root, path),
+        placement=_read_placement_path(root),
         trajectories=_read_trajectories(root, path, pairs, marker_names),
         source_names=source_names,
         source=_stack(path, source.GetBlendShapeWeightsAttr(), pairs, source_names)
@@ -139,15 +139,10 @@ def _read_rate(root: Usd.Prim, path: Path) -> float:
     return rate
 
 
-def _read_placement_path(root: Usd.Prim, path: Path) -> Path | None:
+def _read_placement_path(root: Usd.Prim) -> Path | None:
     """Return the asset's placement, if the file exists."""
-    named = value_of(root, PLACEMENT)
-    if named is not None and not isinstance(named, Sdf.AssetPath):
-        raise TypeError(f"{PLACEMENT} is {named!r}, no path of a file")
-    if named is None or not named.path:
-        return None
-    file = Path(named.resolvedPath or path.parent / named.path)
-    return file if file.is_file() else None
+    file = file_of(root, PLACEMENT)
+    return file if file is not None and file.is_file() else None
 
 
 def _labels(root: Usd.Prim, path: Sdf.Path, pairs: range) -> tuple[str, ...]:

@@ -121,7 +121,7 @@ def read_pairs(path: Path) -> ExpressionPairs:
 
 @refusing_wrong_types
 def keyed_above(path: Path) -> tuple[str, ...]:
-    """Return the properties with samples in layers stronger than the proposals, which they hide."""
+    """Return the properties keyed in layers stronger than the proposals, which they hide."""
     samples = proposed_path(path).resolve()
     keyed: list[str] = []
     for layer in open_stage(path).GetLayerStack(includeSessionLayers=False):
@@ -163,7 +163,8 @@ def _times(
     top, of_source, of_target = stage.GetPrimAtPath(_TARGET), _sampled(source), _sampled(target)
     for name in attributes:
         attribute = control_attribute(top, name, path)
-        of_target |= {round(time) for time in attribute.GetTimeSamples()}
+        spline = attribute.GetSpline().GetKnots() if attribute.HasSpline() else ()
+        of_target |= {round(time) for time in (*attribute.GetTimeSamples(), *spline)}
     times = sorted(of_source | of_target)
     if not times:
         raise InputError(f"{path}: holds no pair; key both faces at time code 1, 2, ...")

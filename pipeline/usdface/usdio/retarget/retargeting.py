@@ -13,6 +13,7 @@ from usdface.usdio.authoring import (
     author_arrays,
     author_uniform,
     define_in_scope,
+    file_of,
     names_in,
     prim_in_scope,
     read_arrays,
@@ -20,7 +21,6 @@ from usdface.usdio.authoring import (
     shaped,
     text_of,
     trained_prim,
-    value_of,
 )
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types, relative_path
 from usdface.usdio.units import author_units
@@ -69,7 +69,6 @@ def read_retargeting(path: Path) -> Retargeting:
     stage = open_stage(path)
     prim = trained_prim(path, stage, TYPE)
     settings, scores = read_training(path, prim, "retargeting", RetargetScore)
-    asset = str(getattr(value_of(prim, "face:retargeting:rig"), "path", ""))
     source, shapes, joints, attributes = (
         _names(prim, name) for name in ("source", "channels", "joints", "attributes")
     )
@@ -102,7 +101,7 @@ def read_retargeting(path: Path) -> Retargeting:
         settings=settings,
         scores=scores,
         pairs=_text(prim, "pairs"),
-        target_rig=(path.parent / asset) if asset else None,
+        target_rig=file_of(prim, "face:retargeting:rig"),
         target_prim=_text(prim, "rigPrim"),
     )
 

@@ -18,6 +18,7 @@ from usdface.usdio.authoring import (
     author_timing,
     author_uniform,
     define_prim,
+    file_of,
     names_in,
     read_array_samples,
     text_of,
@@ -162,18 +163,18 @@ def read_matches(path: Path, *, rate: Fraction) -> tuple[SequenceMatch, ...]:
     for prim in root.GetChildren():
         if not prim.HasAPI("FaceMatchAPI"):
             continue
-        asset, first, last = (
-            prim.GetAttribute(f"face:match:{name}").Get()
-            for name in ("sequence", "firstFrame", "lastFrame")
+        sequence = file_of(prim, "face:match:sequence")
+        first, last = (
+            prim.GetAttribute(f"face:match:{name}").Get() for name in ("firstFrame", "lastFrame")
         )
-        if not isinstance(asset, Sdf.AssetPath) or None in (first, last) or last <= first:
+        if sequence is None or None in (first, last) or last <= first:
             raise InputError(
-                f"{path} <{prim.GetPath()}>: frames {first}-{last} of {asset!s} are no match of a "
+                f"{path} <{prim.GetPath()}>: frames {first}-{last} of {sequence} are no match of a "
                 "sequence; correct it, or find sequences again"
             )
         matches.append(
             SequenceMatch(
-                sequence=path.parent / asset.path,
+                sequence=sequence,
                 label=text_of(prim, "face:match:label"),
                 first_frame=int(first),
                 last_frame=int(last),

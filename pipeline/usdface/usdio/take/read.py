@@ -18,6 +18,7 @@ from usdface.core.rates import (
     shift_timecode,
 )
 from usdface.usdio.authoring import (
+    file_of,
     names_in,
     read_array_samples,
     read_gaps,
@@ -141,7 +142,6 @@ class TakeReader:
         last = self.last_frame if last is None else last
         self.frames_within((first, last))
         frames = range(first, last + 1)
-        audio = value_of(self._audio, "filePath") if self._audio else None
         return Take(
             name=self.name,
             rate=self.rate,
@@ -150,7 +150,7 @@ class TakeReader:
             source=self.read_source(frames),
             head_motion=self._read_head_motion(frames) if head_motion else None,
             video=self.read_video(),
-            audio=None if audio is None else self._resolve(audio),
+            audio=file_of(self._audio, "filePath") if self._audio else None,
             performer=self.performer,
             session=self.session,
             emotion=text_of(self._root, "face:emotion"),
@@ -297,8 +297,8 @@ class TakeReader:
     @refusing_wrong_types
     def read_video(self) -> Video | None:
         """Return the take's video, which may be missing; None if it names none."""
-        asset = value_of(self._root, "face:video:file")
-        if asset is None or not str(getattr(asset, "path", "")):
+        file = file_of(self._root, "face:video:file")
+        if file is None:
             return None
         rate = value_of(self._root, "face:video:rate")
         where = f"{self.path}: face:video:rate"
@@ -312,18 +312,11 @@ class TakeReader:
                 "are no place in time; align the video again"
             )
         return Video(
-            file=self._resolve(asset),
+            file=file,
             rate=exact_rate(rate, where=where) if isinstance(rate, float) and rate > 0 else None,
             offset=offset,
             drift=drift,
         )
-
-    def _resolve(self, asset: object) -> Path:
-        """Return the path of an asset, which may be missing."""
-        resolved = str(getattr(asset, "resolvedPath", ""))
-        if resolved:
-            return Path(resolved)
-        return (self.path.parent / str(getattr(asset, "path", ""))).resolve()
 
 
 def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.ndarray:
