@@ -1,5 +1,6 @@
 """The command line: what it prints, what it returns, what it refuses."""
 
+import io
 import json
 import os
 import subprocess
@@ -52,20 +53,23 @@ def test_the_installed_command_tells_its_version() -> None:
     assert done.stdout == f"usdface {__version__}\n"
 
 
+ERRORS = ("strict", "backslashreplace")
+"""What Python does with letters that the locale lacks, on standard output and standard error."""
+
+
 @pytest.mark.parametrize("as_json", [(), ("--json",)])
 def test_names_are_printed_in_locales_that_lack_their_letters(
-    tmp_path: Path, as_json: tuple[str, ...]
+    tmp_path: Path, as_json: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_rig(tmp_path / "顔.usda", small_rig())
+    monkeypatch.chdir(tmp_path)
     for out, code in (("a.csv", 0), ("無/a.csv", 2)):
-        done = subprocess.run(
-            [Path(sys.executable).with_name("usdface"), "names", "顔.usda", "--out", out, *as_json],
-            capture_output=True,
-            env=os.environ | {"PYTHONIOENCODING": "ascii"},
-            cwd=tmp_path,
-        )
-        assert done.returncode == code, done.stderr
-        printed = done.stdout.decode("ascii")
+        shown, told = (io.TextIOWrapper(io.BytesIO(), "ascii", how) for how in ERRORS)
+        monkeypatch.setattr(sys, "stdout", shown)
+        monkeypatch.setattr(sys, "stderr", told)
+        assert run("names", "顔.usda", "--out", out, *as_json) == code
+        shown.flush()
+        printed = shown.buffer.getvalue().decode("ascii")
         if as_json:
             assert out in json.dumps(json.loads(printed), ensure_ascii=False)
 
@@ -73,7 +77,7 @@ def test_names_are_printed_in_locales_that_lack_their_letters(
 GROUPS = ("references", "pairs", "edits")
 
 
-@pytest.mark.parametrize("command", sorted(set(make_app().commands) - set(GROUPS)))
+@pytest.mark.parametrize("command", sorted(set(make_app(listed=True).commands) - set(GROUPS)))
 def test_every_command_answers_help_with_an_example(command: str, capsys) -> None:
     assert run(command, "--help") == 0
     told = capsys.readouterr().out
@@ -352,14 +356,20 @@ def test_help_is_where_people_look_for_it(capsys) -> None:
         ),
     ],
 )
-def test_a_shell_completes_commands_and_options(shell: str, given: dict[str, str], capsys) -> None:
+def test_a_shell_completes_commands_and_options(
+    shell: str,
+    given: dict[str, str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert run("completion", shell) == 0
     assert f"_USDFACE_COMPLETE=complete_{shell}" in capsys.readouterr().out
-    command = Path(sys.executable).with_name("usdface")
-    words = {name: text.replace("--ta", "--tem") for name, text in given.items()}
-    environment = {**os.environ, **words, "_USDFACE_COMPLETE": f"complete_{shell}"}
-    done = subprocess.run([command], capture_output=True, text=True, env=environment)
-    assert "--temporal" in done.stdout
+    monkeypatch.setattr(sys, "argv", ["usdface"])
+    for name, text in given.items():
+        monkeypatch.setenv(name, text.replace("--ta", "--tem"))
+    monkeypatch.setenv("_USDFACE_COMPLETE", f"complete_{shell}")
+    assert run() == 0
+    assert "--temporal" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -453,7 +463,7 @@ def test_values_that_an_option_does_not_take_are_said_in_our_words(capsys) -> No
         assert "Value error" not in told
 
 
-@pytest.mark.parametrize("command", sorted(make_app().commands))
+@pytest.mark.parametrize("command", sorted(make_app(listed=True).commands))
 def test_a_command_by_itself_has_the_options_that_it_has_among_all(command: str) -> None:
     def options(name: str, found: Any) -> dict[str, list[str]]:
         inner = getattr(found, "commands", {})
