@@ -1,8 +1,11 @@
 """What a selection leaves beside the asset and must not touch: coverage, pictures, tuning."""
 
+import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from usdface.core.sidecars import lock_path
 from usdface.core.text import pluralize
 from usdface.media.picture.image import read_image_metadata, read_picture, write_image
 from usdface.runner.execute import execute
+from usdface.runner.result import StepResult
 from usdface.specs.references import (
     ReferencesAddSpec,
     ReferencesCoverageSpec,
@@ -33,7 +37,46 @@ from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
-pytestmark = pytest.mark.usefixtures("placement_not_drawn")
+
+@pytest.fixture(scope="module", autouse=True)
+def _placement_not_drawn() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(select, "draw_placement", lambda *_, **__: np.zeros((8, 8, 3), np.uint8))
+        yield
+
+
+def copied(shot: Shot, folder: Path) -> Shot:
+    own = folder / "Schuss 1 ü"  # a name as users give them
+    shutil.copytree(shot.folder, own)
+    return replace(shot, folder=own)
+
+
+@pytest.fixture(scope="module")
+def selection(
+    finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Shot, dict[str, Any]]:
+    """A shot with new references beside its own, which tests do not change, and their figures."""
+    shot = copied(finished_shot, tmp_path_factory.mktemp("selection"))
+    return shot, execute(spec(shot)).figures
+
+
+@pytest.fixture
+def selected(selection: tuple[Shot, dict[str, Any]], tmp_path: Path) -> Shot:
+    return copied(selection[0], tmp_path)
+
+
+@pytest.fixture(scope="module")
+def proposal(finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    """A shot whose references are proposed again, and not tuned; tests do not change it."""
+    shot = copied(finished_shot, tmp_path_factory.mktemp("proposal"))
+    (shot / "hero.references.tuned.usda").unlink()
+    execute(spec(shot, out=shot / "hero.references.usda", count=PAIRS), overwrite=True)
+    return shot
+
+
+@pytest.fixture
+def proposed(proposal: Shot, tmp_path: Path) -> Shot:
+    return copied(proposal, tmp_path)
 
 
 def coverage_spec(shot: Shot, take: str, **changed: object) -> ReferencesCoverageSpec:
@@ -45,8 +88,10 @@ def coverage_spec(shot: Shot, take: str, **changed: object) -> ReferencesCoverag
     return ReferencesCoverageSpec(**(given | changed))  # type: ignore[arg-type]
 
 
-def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
-    said = execute(spec(shot)).figures
+def test_coverage_as_a_command_is_what_select_said(
+    selection: tuple[Shot, dict[str, Any]], selected: Shot
+) -> None:
+    shot, said = selected, selection[1]
     told = execute(
         coverage_spec(shot, "shot.clean.take.usda", references=shot / "new.references.usda")
     )
@@ -62,12 +107,13 @@ def import_keys(shot: Shot) -> tuple[str, ...]:
     return execute(ReferencesImportSpec(**given), overwrite=True).notes
 
 
-def test_an_import_draws_the_coverage_beside_the_references_as_tuned_as_it_is(shot: Shot) -> None:
+def test_an_import_draws_the_coverage_beside_the_references_as_tuned_as_it_is(
+    proposed: Shot,
+) -> None:
+    shot = proposed
     picture = shot / "hero.references.coverage.png"
     now = shot / "now.png"
     coverage = coverage_spec(shot, "shot.clean.take.usda", out=now)
-    (shot / "hero.references.tuned.usda").unlink()
-    execute(spec(shot, out=shot / "hero.references.usda", count=PAIRS), overwrite=True)
     before = read_picture(picture)
     assert not import_keys(shot)
     shown = read_picture(picture)
@@ -78,28 +124,27 @@ def test_an_import_draws_the_coverage_beside_the_references_as_tuned_as_it_is(sh
     assert read_image_metadata(picture)["step"] == "select"
 
 
-def test_an_import_leaves_other_pictures_and_says_why_one_is_old(shot: Shot) -> None:
+def test_an_import_leaves_other_pictures_and_says_why_one_is_old(proposed: Shot) -> None:
+    shot = proposed
     picture = shot / "hero.references.coverage.png"
-    write_image(picture, np.zeros((8, 8, 3), np.uint8))
-    import_keys(shot)
-    assert read_picture(picture).shape == (8, 8, 3), "somebody's own"
-    picture.unlink()
-    import_keys(shot)
-    assert not picture.exists()
-    (shot / "hero.references.tuned.usda").unlink()
-    execute(spec(shot, out=shot / "hero.references.usda", count=PAIRS), overwrite=True)
     (shot / "shot.clean.take.usda").rename(shot / "moved.take.usda")
     drawn = picture.read_bytes()
     (note,) = [each for each in import_keys(shot) if "coverage" in each]
     assert note.startswith("hero.references.coverage.png was not drawn again, and is out of date: ")
     assert "shot.clean.take.usda" in note
     assert picture.read_bytes() == drawn
+    (shot / "moved.take.usda").rename(shot / "shot.clean.take.usda")
+    write_image(picture, np.zeros((8, 8, 3), np.uint8))
+    import_keys(shot)
+    assert read_picture(picture).shape == (8, 8, 3), "somebody's own"
+    picture.unlink()
+    import_keys(shot)
+    assert not picture.exists()
 
 
-def test_pairs_that_are_added_are_in_the_coverage_beside_the_references(shot: Shot) -> None:
+def test_pairs_that_are_added_are_in_the_coverage_beside_the_references(proposed: Shot) -> None:
+    shot = proposed
     references, picture = shot / "hero.references.usda", shot / "hero.references.coverage.png"
-    (shot / "hero.references.tuned.usda").unlink()
-    execute(spec(shot, out=references, count=PAIRS), overwrite=True)
     before = read_picture(picture)
     hero = shot / "shot.hero.usda"
     given = {"performance": hero, "references": references, "out": references}
@@ -136,12 +181,12 @@ def test_pairs_cover_another_take_wherever_its_head_stands(shot: Shot) -> None:
     assert told.figures["coverage"] == pytest.approx(own["coverage"], abs=0.01)
 
 
-def test_only_tuned_pairs_may_count_and_strange_markers_are_refused(shot: Shot) -> None:
+def test_only_tuned_pairs_may_count_and_strange_markers_are_refused(selected: Shot) -> None:
+    shot = selected
     few = execute(
         coverage_spec(shot, "shot.clean.take.usda", tuned_only=True), overwrite=True
     ).figures
     assert few["pairs"] == list(range(1, PAIRS + 1))
-    execute(spec(shot))
     with pytest.raises(InputError, match="none of its 12 pairs is tuned"):
         execute(
             coverage_spec(
@@ -166,23 +211,31 @@ def test_only_tuned_pairs_may_count_and_strange_markers_are_refused(shot: Shot) 
         execute(coverage_spec(shot, "strange.take.usda"), overwrite=True)
 
 
-def filmed(shot: Shot) -> Path:
-    """The take with a camera's pictures: picture n of 24 a second is of brightness 2 n."""
+RATE = 6
+
+
+@pytest.fixture(scope="module")
+def filmed_selection(
+    finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Shot, StepResult]:
+    """A shot selected from a take with a camera's pictures: number n is of brightness 8 n."""
+    shot = copied(finished_shot, tmp_path_factory.mktemp("filmed"))
     (shot / "plate").mkdir()
-    for number in range(96):
-        plate = np.full((16, 16, 3), 2 * number, np.uint8)
+    for number in range(4 * RATE):
+        plate = np.full((16, 16, 3), 8 * number, np.uint8)
         write_image(shot / "plate" / f"plate.{number:04d}.png", plate)
-    video = Video(file=shot / "plate" / "plate.0000.png", rate=Fraction(24), offset=0.5)
+    video = Video(file=shot / "plate" / "plate.0000.png", rate=Fraction(RATE), offset=0.5)
     take = replace(read_take(shot / "shot.clean.take.usda"), video=video)
     write_take(shot / "filmed.take.usda", take, provenance=Provenance())
-    return shot / "filmed.take.usda"
+    return shot, execute(spec(shot, takes=(shot / "filmed.take.usda",)))
 
 
 @pytest.mark.usefixtures("coverage_not_drawn")
-def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> None:
-    out = shot / "new.references.usda"
-    take = filmed(shot)
-    report = execute(spec(shot, takes=(take,)))
+def test_the_video_frame_of_each_pair_lies_beside_the_references(
+    filmed_selection: tuple[Shot, StepResult], tmp_path: Path
+) -> None:
+    shot, report = copied(filmed_selection[0], tmp_path), filmed_selection[1]
+    out, take = shot / "new.references.usda", shot / "filmed.take.usda"
     references = read_references(out)
     notes = read_pair_notes(out)
     stage = Usd.Stage.Open(str(out))
@@ -197,7 +250,7 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
         assert named == f"./new.references.images/shot.{frame}.jpg"
         assert note.image is not None
         shown = read_picture(note.image).mean()
-        assert shown == pytest.approx(2 * int(seconds * 24 + 1e-6), abs=1.5)
+        assert shown == pytest.approx(8 * int(seconds * RATE + 1e-6), abs=1.5)
     before = sum(frame < 61 for frame in references.frames.tolist())
     assert report.figures["images"] == 12 - before
     told = [note for note in report.notes if "does not show" in note]
@@ -227,9 +280,11 @@ def test_the_video_frame_of_each_pair_lies_beside_the_references(shot: Shot) -> 
 
 
 @pytest.mark.usefixtures("coverage_not_drawn")
-def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) -> None:
-    take = filmed(shot)
-    execute(spec(shot, takes=(take,)))
+def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(
+    filmed_selection: tuple[Shot, StepResult], tmp_path: Path
+) -> None:
+    shot = copied(filmed_selection[0], tmp_path)
+    take = shot / "filmed.take.usda"
     folder = shot / "new.references.images"
     pictures = {path.name: path.read_bytes() for path in folder.iterdir()}
     for path in (shot / "plate").iterdir():
@@ -267,9 +322,9 @@ def asset_bytes(out: Path) -> dict[str, bytes]:
 
 
 def test_placement_and_pairs_are_those_of_one_run(
-    shot: Shot, monkeypatch: pytest.MonkeyPatch
+    selected: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    execute(spec(shot))
+    shot = selected
     out = shot / "new.references.usda"
     before = asset_bytes(out)
     assert any(name.endswith(".placement.usda") for name in before)
@@ -311,9 +366,9 @@ def test_changes_of_a_page_that_was_killed_are_taken_in_before_pairs_move(shot: 
 
 
 def test_pairs_tuned_while_frames_are_chosen_are_not_moved(
-    shot: Shot, monkeypatch: pytest.MonkeyPatch
+    selected: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    execute(spec(shot))
+    shot = selected
     new = shot / "new.references.usda"
     kept = read_references(new)
     chosen = select.rank_by_information
