@@ -1,6 +1,7 @@
 """A shot made once for many tests: the demo's actor, four seconds, and every file up to a sheet."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -40,9 +41,10 @@ def coarse_head(style: Style) -> DemoHead:
         return with_shapes(bare_head(style))
 
 
-def coarse_rig() -> Rig:
-    """Build the character of the shot."""
-    return rig_from_head(coarse_head(CHARACTER))
+@cache
+def coarse_rig(style: Style = CHARACTER) -> Rig:
+    """Build a rig of the demo with fewer points, by default the character of the shot."""
+    return rig_from_head(coarse_head(style))
 
 
 def make_inputs(folder: Path) -> Shot:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.steps.small_shot import coarse_rig
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
-from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.numerics.measure.face_regions import (
@@ -27,7 +27,7 @@ def with_names(rig: Rig, names: tuple[str, ...]) -> Rig:
 
 @pytest.fixture(scope="module", params=["hero", "actor"])
 def rig(request: pytest.FixtureRequest) -> Rig:
-    return demo_rig() if request.param == "hero" else demo_rig(ACTOR)
+    return coarse_rig() if request.param == "hero" else coarse_rig(ACTOR)
 
 
 def test_foreign_names_give_the_same_points_as_known_ones(rig: Rig) -> None:
@@ -46,7 +46,7 @@ def test_foreign_names_give_the_same_points_as_known_ones(rig: Rig) -> None:
 
 
 def test_brows_that_are_a_mesh_of_their_own_are_no_tongue() -> None:
-    rig = demo_rig()
+    rig = coarse_rig()
     cards = tuple(
         mesh
         if mesh.path.endswith("brows")
@@ -70,7 +70,7 @@ def test_a_shape_whose_name_is_known_keeps_it(rig: Rig) -> None:
 
 
 def test_an_open_mouth_is_an_open_jaw() -> None:
-    rig = demo_rig()
+    rig = coarse_rig()
     names = tuple("mouthOpen" if name == "jawOpen" else name for name in rig.shapes)
     parts = shape_parts(with_names(rig, names), Deformer(rig))
     assert jaw_opener(parts) == rig.shapes.index("jawOpen")
@@ -78,7 +78,7 @@ def test_an_open_mouth_is_an_open_jaw() -> None:
 
 
 def test_where_no_eyes_and_mouth_are_found_names_stay_and_a_note_says_what_is_missing() -> None:
-    rig = demo_rig()
+    rig = coarse_rig()
     names = tuple("" if name.startswith(("eyeBlink", "jaw")) else name for name in rig.shapes)
     bare = replace(
         rig,
@@ -107,7 +107,7 @@ def test_where_no_eyes_and_mouth_are_found_names_stay_and_a_note_says_what_is_mi
 
 def test_action_units_need_no_landmarks() -> None:
     units = ("AU1_L", "AU45_R", "AU9_L", "AU12_R", "AU26")
-    rig = demo_rig()
+    rig = coarse_rig()
     others = tuple(f"Form_{index}" for index in range(len(rig.shapes) - len(units)))
     still = replace(
         rig, meshes=tuple(replace(mesh, shapes=()) for mesh in rig.meshes)

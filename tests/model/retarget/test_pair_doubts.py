@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.steps.small_shot import coarse_rig
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs, shape_controls
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.name_matching import transfer_by_names
@@ -21,7 +21,7 @@ from usdface.usdio.rig.read import read_rig
 
 @pytest.fixture(scope="module")
 def faces() -> tuple[Rig, Rig]:
-    return demo_rig(ACTOR), demo_rig()
+    return coarse_rig(ACTOR), coarse_rig()
 
 
 def pairs_by_name(source: Rig, target: Rig) -> ExpressionPairs:

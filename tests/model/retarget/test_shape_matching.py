@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.steps.small_shot import coarse_rig
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
-from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.retarget.face_correspondence import Correspondence, correspond, match_positions
 from usdface.model.retarget.shape_matching import differing_sides, match_deformations
@@ -17,7 +17,7 @@ from usdface.usdio.rig.read import read_rig
 
 @pytest.fixture(scope="module")
 def faces():
-    return demo_rig(), demo_rig(ACTOR)
+    return coarse_rig(), coarse_rig(ACTOR)
 
 
 def test_another_face_with_the_same_shapes_is_matched(faces) -> None:
