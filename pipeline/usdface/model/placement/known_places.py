@@ -5,11 +5,7 @@ from collections.abc import Collection
 import numpy as np
 
 from usdface.core.arrays import FloatArray, rms_radius
-from usdface.model.placement.label_hints import (
-    are_image_landmarks,
-    label_hint,
-    landmark_spread_mm,
-)
+from usdface.model.placement.label_hints import are_image_landmarks, label_hint, landmark_spread_mm
 from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.landmark_matching import FaceLandmarks

@@ -7,11 +7,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.model.placement.marker_cloud import MarkerCloud, middle_markers
-from usdface.numerics.registration.cloud_alignment import (
-    Alignment,
-    align_cloud,
-    align_landmarks,
-)
+from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud, align_landmarks
 from usdface.numerics.registration.face_skin import TYPICAL_SIZE_MM, FaceSkin
 from usdface.numerics.registration.landmark_matching import FaceLandmarks, match_landmarks
 from usdface.numerics.registration.motion_correspondence import place_by_motion

@@ -16,11 +16,7 @@ from usdface.model.placement.label_hints import face_region, label_hint
 from usdface.model.placement.rig_landmarks import MOST_MOVED_SHARE
 from usdface.model.placement.shape_parts import RegionTemplate, fit_region_template
 from usdface.model.retarget.shape_names import read_meanings
-from usdface.numerics.measure.face_regions import (
-    REGIONS,
-    gaze_and_tongue_shapes,
-    region_of_shape,
-)
+from usdface.numerics.measure.face_regions import REGIONS, gaze_and_tongue_shapes, region_of_shape
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import solve_weights_at
 

@@ -10,12 +10,7 @@ from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress, part, silent
 from usdface.model.retarget.face_correspondence import correspond, match_positions
-from usdface.model.retarget.train import (
-    make_examples,
-    retarget,
-    round_trip,
-    train_retargeting,
-)
+from usdface.model.retarget.train import make_examples, retarget, round_trip, train_retargeting
 
 MOST_POINTS = 4000
 """Maximum number of points of the source's surface for errors, evenly spread."""

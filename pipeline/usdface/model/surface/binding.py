@@ -12,10 +12,7 @@ from usdface.core.errors import InputError, as_input_error
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.numerics.registration.cloud_alignment import align_landmarks
-from usdface.numerics.registration.face_skin import (
-    SurfaceSamples,
-    sample_outer_surface,
-)
+from usdface.numerics.registration.face_skin import SurfaceSamples, sample_outer_surface
 from usdface.numerics.registration.marker_binding import (
     FEWEST_MARKERS,
     MarkerBinding,
@@ -25,11 +22,7 @@ from usdface.numerics.registration.marker_binding import (
 )
 from usdface.numerics.registration.motion_correspondence import place_by_motion
 from usdface.numerics.surface.geodesic import geodesic_distances
-from usdface.numerics.surface.surface_places import (
-    SurfacePoints,
-    nearest_places,
-    places_of_corners,
-)
+from usdface.numerics.surface.surface_places import SurfacePoints, nearest_places, places_of_corners
 from usdface.numerics.surface.triangulation import triangle_normals, triangulate
 
 FEWEST_LANDMARKS = 3

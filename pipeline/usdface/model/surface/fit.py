@@ -11,13 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from usdface.core.arrays import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    RealArray,
-    sample_frames,
-)
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, sample_frames
 from usdface.core.assets import MEASURED_CONFIDENCE
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances

@@ -11,14 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-    RealArray,
-    rms_radius,
-)
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray, rms_radius
 from usdface.core.last_result import cache_last_result
 from usdface.numerics.registration.virtual_markers import deltas_at
 from usdface.numerics.rigid.rigid_alignment import align_rigid, alignment_residuals

@@ -10,11 +10,7 @@ from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray, nearest_distances
 from usdface.numerics.regression.linear_ridge import check_examples
-from usdface.numerics.regression.rbf_ridge import (
-    choose_ridge,
-    evaluate_network,
-    rotate,
-)
+from usdface.numerics.regression.rbf_ridge import choose_ridge, evaluate_network, rotate
 
 _LEAST_CONDITION = 1e-13
 """Least reciprocal condition number for interpolation."""

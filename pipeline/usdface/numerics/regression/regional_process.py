@@ -9,13 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import (
-    Float32Array,
-    FloatArray,
-    IntArray,
-    frame_blocks,
-    single_precision,
-)
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, frame_blocks, single_precision
 from usdface.numerics.regression.gaussian_process import OFFSET_VARIANCE
 
 _RIDGE_SHARE = 0.02

@@ -24,11 +24,7 @@ from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID
 from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
-from usdface.steps.capture.clean_notes import (
-    cleaning_figures,
-    cleaning_notes,
-    cleaning_summary,
-)
+from usdface.steps.capture.clean_notes import cleaning_figures, cleaning_notes, cleaning_summary
 from usdface.steps.inputs.cleaned_takes import check_neutral_frame
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take

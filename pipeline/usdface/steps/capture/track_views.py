@@ -13,11 +13,7 @@ from usdface.capture.face_tracking import FaceTrack
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.model.placement.label_hints import skin_motion_mm
-from usdface.numerics.rigid.camera_views import (
-    CameraPose,
-    average_heads,
-    triangulate_points,
-)
+from usdface.numerics.rigid.camera_views import CameraPose, average_heads, triangulate_points
 from usdface.numerics.rigid.perspective import PinholeCamera, unproject_head
 from usdface.steps.capture.track_notes import eye_columns
 from usdface.steps.capture.track_pictures import LONGEST_BRIDGED, PictureTiming

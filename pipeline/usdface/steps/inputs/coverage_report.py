@@ -27,11 +27,7 @@ from usdface.model.selection.design import features_at
 from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.placement import stored_placement
-from usdface.steps.inputs.scene import (
-    SelectionScene,
-    candidate_frames,
-    set_up_scene,
-)
+from usdface.steps.inputs.scene import SelectionScene, candidate_frames, set_up_scene
 from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_keyed_references
 

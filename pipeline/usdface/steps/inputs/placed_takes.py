@@ -6,13 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import (
-    BoolArray,
-    ByteImage,
-    FloatArray,
-    median_places,
-    sample_frames,
-)
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray, median_places, sample_frames
 from usdface.core.assets import Rig, range_ends
 from usdface.core.deformer import Deformer
 from usdface.core.errors import as_input_error

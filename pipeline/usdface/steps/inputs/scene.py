@@ -15,11 +15,7 @@ from usdface.model.mapping.motion_space import (
     sampled_frames,
 )
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
-from usdface.model.selection.baseline import (
-    BlendshapeEquation,
-    PerformerMarkers,
-    proposed_weights,
-)
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers, proposed_weights
 from usdface.model.selection.design import SelectionSpace, WeightProposals, selection_space
 from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes

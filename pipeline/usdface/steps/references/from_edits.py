@@ -23,13 +23,7 @@ from usdface.model.mapping.performer_face import face_of_references
 from usdface.model.retarget.name_matching import transfer_by_names
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
-from usdface.runner.origin import (
-    find_made_by,
-    find_take,
-    made_files,
-    pair_with_files,
-    take_name,
-)
+from usdface.runner.origin import find_made_by, find_take, made_files, pair_with_files, take_name
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers_at, take_head_space

@@ -32,10 +32,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
 from usdface.speech.phones import VISEMES
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
-from usdface.steps.inputs.coverage_report import (
-    TakesCoverage,
-    coverage_and_growth,
-)
+from usdface.steps.inputs.coverage_report import TakesCoverage, coverage_and_growth
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
 from usdface.steps.inputs.placed_takes import (
@@ -47,11 +44,7 @@ from usdface.steps.inputs.placed_takes import (
     placement_notes,
 )
 from usdface.steps.inputs.placement import read_placement_of
-from usdface.steps.inputs.scene import (
-    SelectionScene,
-    candidate_frames,
-    set_up_scene,
-)
+from usdface.steps.inputs.scene import SelectionScene, candidate_frames, set_up_scene
 from usdface.steps.inputs.tuned_pairs import (
     PlacedPair,
     find_placed_pairs,

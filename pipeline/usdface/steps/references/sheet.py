@@ -19,11 +19,7 @@ from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.video import open_video, picture_at_frame
 from usdface.media.picture.image import read_picture, write_image
-from usdface.media.picture.reference_sheet import (
-    PAGE_PAIRS,
-    ReferenceRow,
-    compose_reference_sheet,
-)
+from usdface.media.picture.reference_sheet import PAGE_PAIRS, ReferenceRow, compose_reference_sheet
 from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.selection.baseline import PerformerMarkers
 from usdface.runner.result import StepResult

@@ -16,11 +16,7 @@ from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.model.placement.rig_orientation import describe_orientation
 from usdface.model.retarget.face_correspondence import Correspondence, correspond, match_positions
 from usdface.model.retarget.name_matching import Transfer
-from usdface.model.retarget.train import (
-    limited_controls,
-    predict_coordinates,
-    unspanned_shares,
-)
+from usdface.model.retarget.train import limited_controls, predict_coordinates, unspanned_shares
 from usdface.model.review.verdict import worst_verdict
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range

@@ -23,11 +23,7 @@ from usdface.model.retarget.control_space import (
 )
 from usdface.model.retarget.cyclic import sampled_displacements
 from usdface.model.retarget.name_matching import transfer_by_names
-from usdface.model.retarget.pair_doubts import (
-    PairDoubt,
-    find_pair_doubts,
-    find_unkeyed_regions,
-)
+from usdface.model.retarget.pair_doubts import PairDoubt, find_pair_doubts, find_unkeyed_regions
 from usdface.model.retarget.train import (
     describe_retargeting_figures,
     retargeting_table,

@@ -18,11 +18,7 @@ from usdface.core.text import pluralize
 from usdface.media.film.movie import video_encoder, write_movie
 from usdface.media.film.video import open_video
 from usdface.media.page.face_payload import pack_face
-from usdface.media.page.report_page import (
-    PagePicture,
-    ReviewPage,
-    build_page,
-)
+from usdface.media.page.report_page import PagePicture, ReviewPage, build_page
 from usdface.media.picture.canvas import empty_tile, fit_picture
 from usdface.model.review.moments import review_moments
 from usdface.model.review.verdict import judge_solve
@@ -42,17 +38,8 @@ from usdface.steps.review.report_parts import (
     page_notes,
     page_strips,
 )
-from usdface.steps.review.report_tables import (
-    find_references,
-    listings,
-    show_coverage,
-)
-from usdface.steps.review.scoring import (
-    ShotMetric,
-    read_keys,
-    set_up_shot_baseline,
-    solve_baseline,
-)
+from usdface.steps.review.report_tables import find_references, listings, show_coverage
+from usdface.steps.review.scoring import ShotMetric, read_keys, set_up_shot_baseline, solve_baseline
 from usdface.steps.review.shot import Shot, open_shot
 
 LONGEST_FRAMES = 36_000

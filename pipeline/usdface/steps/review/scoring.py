@@ -23,11 +23,7 @@ from usdface.model.review.moments import (
     surface_jumps,
 )
 from usdface.model.review.verdict import SolveEvidence
-from usdface.model.selection.baseline import (
-    BlendshapeEquation,
-    PerformerMarkers,
-    proposed_weights,
-)
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers, proposed_weights
 from usdface.model.selection.lip_contact import (
     CONTACT_MM,
     Lips,

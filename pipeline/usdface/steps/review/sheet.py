@@ -22,10 +22,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO_CAMERA, SheetSpec
 from usdface.steps.inputs.sheet_pages import replacing_pages
 from usdface.steps.review.pictures import ShotPictures
-from usdface.steps.review.scoring import (
-    coverage_curves,
-    range_mm,
-)
+from usdface.steps.review.scoring import coverage_curves, range_mm
 from usdface.steps.review.sheet_columns import (
     OTHER_TILE,
     STRIP_TILE,

@@ -19,10 +19,7 @@ from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
-from usdface.steps.inputs.cleaned_takes import (
-    spread_frames,
-    take_warnings,
-)
+from usdface.steps.inputs.cleaned_takes import spread_frames, take_warnings
 from usdface.steps.inputs.placement import read_performer_markers
 from usdface.steps.surface.picture import other_meshes
 from usdface.steps.surface.plan import PLAN_FRAMES, bind_take, landmark_places

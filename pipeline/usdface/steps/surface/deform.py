@@ -11,12 +11,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.surface import DeformSpec
 from usdface.steps.surface.picture import write_comparison
-from usdface.steps.surface.plan import (
-    SurfacePlan,
-    plan_surface,
-    sampler_figures,
-    sampler_notes,
-)
+from usdface.steps.surface.plan import SurfacePlan, plan_surface, sampler_figures, sampler_notes
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.surface.point_cache import PointsFormat, PointsHeader, writing_points
 from usdface.usdio.take.read import TakeReader

@@ -16,12 +16,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
 from usdface.steps.inputs.cleaned_takes import read_markers_at, spread_frames
 from usdface.steps.surface.picture import write_shapes_picture
-from usdface.steps.surface.plan import (
-    SurfacePlan,
-    plan_surface,
-    sampler_figures,
-    sampler_notes,
-)
+from usdface.steps.surface.plan import SurfacePlan, plan_surface, sampler_figures, sampler_notes
 from usdface.usdio.references.read import read_pair_notes
 from usdface.usdio.surface.shape_rig import NewShape, write_shape_rig
 from usdface.usdio.take.read import TakeReader

@@ -26,10 +26,7 @@ from usdface.numerics.registration.marker_binding import (
 )
 from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 from usdface.specs.surface import SurfaceSpec
-from usdface.steps.inputs.cleaned_takes import (
-    read_markers_at,
-    spread_frames,
-)
+from usdface.steps.inputs.cleaned_takes import read_markers_at, spread_frames
 from usdface.steps.inputs.placement import read_performer_markers
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.rig.read import read_rig
