@@ -93,11 +93,10 @@ def extract_performance(
     _clear_abandoned(folder.parent)
     create_folder(folder, remedy="choose another root folder")
     try:
-        extracted = _extract(item, folder, review, progress)
+        return _extract(item, folder, review, progress)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return extracted
 
 
 def _clear_abandoned(folder: Path) -> None:

@@ -39,24 +39,19 @@ def find_bundles(folder: Path, only: str | None = None) -> list[Bundle]:
     """Group a folder's files by stem, without stems that have no capture matching `only`."""
     pattern = only if only is None or set("*?[") & set(only) else f"*{only}"
     captures: dict[str, list[Path]] = {}
-    media: dict[tuple[str, tuple[str, ...]], Path] = {}
+    videos: dict[str, Path] = {}
+    sounds: dict[str, Path] = {}
     for path in visible_files(folder):
         suffix = path.suffix.lower()
-        for kind in (VIDEO_SUFFIXES, AUDIO_SUFFIXES):
-            if suffix in kind:
-                media.setdefault((path.stem, kind), path)
-        if suffix in (*VIDEO_SUFFIXES, *AUDIO_SUFFIXES):
-            continue
-        wanted = pattern is None or fnmatch(path.name.lower(), pattern.lower())
-        if wanted and _is_capture(path):
-            captures.setdefault(path.stem, []).append(path)
+        if suffix in VIDEO_SUFFIXES:
+            videos.setdefault(path.stem, path)
+        elif suffix in AUDIO_SUFFIXES:
+            sounds.setdefault(path.stem, path)
+        elif pattern is None or fnmatch(path.name.lower(), pattern.lower()):
+            if _is_capture(path):
+                captures.setdefault(path.stem, []).append(path)
     return [
-        Bundle(
-            stem,
-            tuple(paths),
-            media.get((stem, VIDEO_SUFFIXES)),
-            media.get((stem, AUDIO_SUFFIXES)),
-        )
+        Bundle(stem, tuple(paths), videos.get(stem), sounds.get(stem))
         for stem, paths in captures.items()
     ]
 
