@@ -91,13 +91,11 @@ def match_names(source: Sequence[str], target: Sequence[str]) -> NameMatching:
     If one side of a motion is ambiguous, neither side is matched. A prefix of all names of a rig,
     such as `bs_`, is no difference if more names are equal without it.
     """
-    bare = _without_prefix(source), _without_prefix(target)
-    if len(set(bare[0]).intersection(bare[1])) > len(set(source).intersection(target)):
-        own, other = (
-            dict(zip(bare[0], source, strict=True)),
-            dict(zip(bare[1], target, strict=True)),
-        )
-        return _with_names(match_names(*bare), own, other)
+    own, other = (
+        dict(zip(_without_prefix(names), names, strict=True)) for names in (source, target)
+    )
+    if len(own.keys() & other.keys()) > len(set(source).intersection(target)):
+        return _with_names(match_names(list(own), list(other)), own, other)
     same = [name for name in source if name in set(target)]
     source_meanings, target_meanings = read_meanings(source), read_meanings(target)
     excluded: dict[str, str] = {}
