@@ -226,11 +226,7 @@ def list_candidates(pairs: Pairs, method: str, choices: Choices) -> list[Candida
 
 
 def compare_candidates(
-    candidates: list[Candidate],
-    folds: PairFolds,
-    *,
-    in_mm: bool,
-    progress: Progress,
+    candidates: list[Candidate], folds: PairFolds, *, in_mm: bool, progress: Progress
 ) -> Comparison:
     """Cross-validate candidates; only a significantly better method replaces the default."""
     pairs, predictions = folds.pairs, []

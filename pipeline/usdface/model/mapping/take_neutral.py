@@ -189,12 +189,7 @@ def compare_neutral(
     for at in np.flatnonzero(frames == stated_frame):
         stated = np.where(usable[at, :, None], positions[at], np.nan)
     offset, gain = find_offset(
-        face.frames,
-        face.usable,
-        positions,
-        usable,
-        neutral=face.neutral,
-        others_neutral=stated,
+        face.frames, face.usable, positions, usable, neutral=face.neutral, others_neutral=stated
     )
     same_session = bool(session) and session == face.session
     _check_labels(face.marker_names, face.neutral, positions, usable)

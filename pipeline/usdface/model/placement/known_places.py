@@ -58,10 +58,7 @@ def _places_of_images(
 
 
 def places_by_labels(
-    cloud: MarkerCloud,
-    landmarks: dict[str, FloatArray],
-    *,
-    without: Collection[int] = (),
+    cloud: MarkerCloud, landmarks: dict[str, FloatArray], *, without: Collection[int] = ()
 ) -> list[KnownPlace]:
     """Return the places of markers whose labels name landmarks of the rig.
 

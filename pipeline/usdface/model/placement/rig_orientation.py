@@ -175,9 +175,7 @@ def _across(centres: Mapping[tuple[str, str], FloatArray]) -> FloatArray | None:
 
 
 def _mean_direction(
-    moved: Mapping[tuple[str, str], FloatArray],
-    signs: Mapping[str, int],
-    across: FloatArray | None,
+    moved: Mapping[tuple[str, str], FloatArray], signs: Mapping[str, int], across: FloatArray | None
 ) -> FloatArray | None:
     """Return the mean signed direction of motions in the plane of symmetry, both sides summed."""
     votes: dict[str, FloatArray] = {}

@@ -298,10 +298,6 @@ def _distances_between(mesh: RigMesh, places: SurfacePoints) -> FloatArray:
     if len(mesh.points) > _MOST_POINTS:
         return straight
     between = geodesic_distances(
-        mesh.points,
-        mesh.face_counts,
-        mesh.face_indices,
-        places,
-        metric="dijkstra-diagonals",
+        mesh.points, mesh.face_counts, mesh.face_indices, places, metric="dijkstra-diagonals"
     ).between
     return np.where(np.isfinite(between), between, straight)

@@ -19,12 +19,7 @@ _LEAST_CLOSING = 0.05
 
 
 def keep_blinks(
-    motion: FloatArray,
-    insertions: Sequence[Insertion],
-    lids: IntArray,
-    *,
-    rate: float,
-    blend: int,
+    motion: FloatArray, insertions: Sequence[Insertion], lids: IntArray, *, rate: float, blend: int
 ) -> list[Insertion]:
     """Return sequences with the motion's lids at each end that is inside of a blink.
 

@@ -132,10 +132,7 @@ def whiten(coordinates: FloatArray, variances: FloatArray, *, power: float = 0.5
 
 
 def design_d_optimal(
-    features: FloatArray,
-    count: int,
-    *,
-    already: IntArray | None = None,
+    features: FloatArray, count: int, *, already: IntArray | None = None
 ) -> Design:
     """Choose frames by greedy D-optimality, the largest leverage.
 
@@ -164,12 +161,7 @@ def design_d_optimal(
     return _choose_greedily(leverage, count, start, add)
 
 
-def design_k_centre(
-    features: FloatArray,
-    count: int,
-    *,
-    already: IntArray | None = None,
-) -> Design:
+def design_k_centre(features: FloatArray, count: int, *, already: IntArray | None = None) -> Design:
     """Choose frames by farthest-point sampling, starting with the one farthest from the mean.
 
     The largest distance to a chosen frame is at most twice that of the optimal set.
@@ -203,11 +195,7 @@ def design_k_centre(
 
 
 def design_gp_variance(
-    features: FloatArray,
-    count: int,
-    *,
-    already: IntArray | None = None,
-    noise: float = 1e-3,
+    features: FloatArray, count: int, *, already: IntArray | None = None, noise: float = 1e-3
 ) -> Design:
     """Choose frames by the largest posterior variance of a Gaussian process.
 

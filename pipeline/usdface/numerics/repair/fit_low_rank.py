@@ -113,11 +113,7 @@ def fit_low_rank(
 
 
 def choose_rank(
-    positions: RealArray,
-    good: BoolArray,
-    *,
-    start: LowRankModel,
-    noise: FloatArray,
+    positions: RealArray, good: BoolArray, *, start: LowRankModel, noise: FloatArray
 ) -> int:
     """Return the number of directions that predicts hidden markers best, by cross-validation.
 

@@ -188,11 +188,7 @@ def fill_gaps(
 
 
 def choose_spline_limit(
-    positions: RealArray,
-    visible: BoolArray,
-    prediction: RealArray,
-    *,
-    noise: float,
+    positions: RealArray, visible: BoolArray, prediction: RealArray, *, noise: float
 ) -> int:
     """Return the longest gap that a spline fills better than the prediction does [frames].
 

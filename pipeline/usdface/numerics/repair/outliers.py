@@ -164,10 +164,7 @@ def _beyond_limits(
 
 
 def _limits(
-    positions: RealArray,
-    visible: BoolArray,
-    model: LowRankModel,
-    noise: FloatArray,
+    positions: RealArray, visible: BoolArray, model: LowRankModel, noise: FloatArray
 ) -> FloatArray:
     """Return the largest distance of each marker from its prediction that is no outlier [mm]."""
     rows = sample_frames(len(positions), _LIMIT_SAMPLE_FRAMES)

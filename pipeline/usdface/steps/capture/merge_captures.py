@@ -138,12 +138,7 @@ _CHUNK_FRAMES = 1 << 14
 
 
 def extract_sound(
-    sources: Sequence[Path],
-    out: Path,
-    *,
-    channel: str | None,
-    ours: bool,
-    skipped: tuple[int, int],
+    sources: Sequence[Path], out: Path, *, channel: str | None, ours: bool, skipped: tuple[int, int]
 ) -> str | None:
     """Write the analog channel that holds sound as a WAV file; return a note on it.
 

@@ -137,10 +137,7 @@ def _write(
 
 
 def _build_take(
-    spec: TrackSpec,
-    view: FaceView,
-    timing: PictureTiming,
-    score_names: tuple[str, ...],
+    spec: TrackSpec, view: FaceView, timing: PictureTiming, score_names: tuple[str, ...]
 ) -> tuple[Take, tuple[str, ...]]:
     """Return the take of a face, and notes."""
     neutral, notes = _neutral_frame(spec, view, score_names)

@@ -140,11 +140,7 @@ class PictureDetector:
         self.score_names: tuple[str, ...] = ()
 
     def detect(
-        self,
-        path: Path,
-        video: OpenVideo,
-        timing: PictureTiming,
-        progress: Progress,
+        self, path: Path, video: OpenVideo, timing: PictureTiming, progress: Progress
     ) -> Iterator[PictureFaces]:
         """Yield the faces in each picture of a video."""
         self._video = path

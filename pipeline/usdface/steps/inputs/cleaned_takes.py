@@ -321,10 +321,7 @@ def _onto_first(
 
 
 def _check_marker_sets(
-    paths: tuple[Path, ...],
-    clouds: list[Markers],
-    names: tuple[str, ...],
-    rigid: tuple[str, ...],
+    paths: tuple[Path, ...], clouds: list[Markers], names: tuple[str, ...], rigid: tuple[str, ...]
 ) -> None:
     """Refuse takes of different marker sets, such as markers and landmarks of a video."""
     least = min(len(cloud.names) for cloud in clouds)

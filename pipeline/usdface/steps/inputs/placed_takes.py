@@ -70,11 +70,7 @@ class PlacementScene:
         self._mesh = rig_surfaces(rig)[0].mesh
         with as_input_error(f"the markers cannot be placed on {rig.file}"):
             self._cloud = marker_cloud(
-                self._names,
-                self._neutral,
-                self._sample,
-                visible=self._usable,
-                rigid=self._rigid,
+                self._names, self._neutral, self._sample, visible=self._usable, rigid=self._rigid
             )
             self._skin = deformer.face_skin()
 
@@ -176,9 +172,7 @@ class PlacementScene:
             placed=[row for row, source in enumerate(sources) if source != "proposed"],
         )
         return PlacedTakes(
-            replace(placement, explained=verdict.explained),
-            verdict,
-            self._skin.unit,
+            replace(placement, explained=verdict.explained), verdict, self._skin.unit
         )
 
 

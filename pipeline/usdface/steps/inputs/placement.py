@@ -107,10 +107,7 @@ def virtual_markers(
         rotation = rotation @ turned.rotations[0]
     places = placement.binding.places
     return VirtualMarkers(
-        places.corners[rows],
-        places.weights[rows],
-        placement.motion_scale,
-        rotation,
+        places.corners[rows], places.weights[rows], placement.motion_scale, rotation
     )
 
 

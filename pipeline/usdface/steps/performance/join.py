@@ -53,10 +53,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             with writing_weights(target, whole, rig, provenance=provenance) as writer:
                 for reader in readers:
                     writer.copy(
-                        reader.animation,
-                        reader.first_frame,
-                        reader.last_frame,
-                        copied_to=report,
+                        reader.animation, reader.first_frame, reader.last_frame, copied_to=report
                     )
         for layer, of_parts in driving.items():
             join_driving_layers(layer, of_parts, whole, provenance=provenance)

@@ -206,11 +206,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
 
 
 def _predict(
-    spec: MapSpec,
-    mapping: TrainedMapping,
-    take: TakeReader,
-    space: HeadSpace,
-    windows: list[range],
+    spec: MapSpec, mapping: TrainedMapping, take: TakeReader, space: HeadSpace, windows: list[range]
 ) -> Iterator[Prediction]:
     """Yield the prediction of each window of frames."""
     sources = (partial(space.place, read_markers_at(take, window)) for window in windows)

@@ -66,11 +66,7 @@ def run(spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress) 
 
 
 def _new_frames(
-    spec: ReferencesAddSpec,
-    reader: PerformanceReader,
-    old: References,
-    take: str,
-    notes: list[str],
+    spec: ReferencesAddSpec, reader: PerformanceReader, old: References, take: str, notes: list[str]
 ) -> IntArray:
     """Return the given frames that are in the performance and not yet pairs, ascending."""
     wanted = set(frame_list(spec.frames) or ())

@@ -284,11 +284,7 @@ def _placement_picture(spec: SelectSpec) -> Path:
 
 
 def _set_up(
-    spec: SelectSpec,
-    takes: CleanedTakes,
-    rig: Rig,
-    placement: RigPlacement,
-    progress: Progress,
+    spec: SelectSpec, takes: CleanedTakes, rig: Rig, placement: RigPlacement, progress: Progress
 ) -> _Selection:
     spoken = read_phone_labels(spec, takes)
     kept = find_placed_pairs(spec, takes, rig)

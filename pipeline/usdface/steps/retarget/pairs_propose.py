@@ -99,11 +99,7 @@ def source_shapes(path: Path, *, prim: str | None = None) -> tuple[tuple[str, ..
 
 
 def match_rigs(
-    source: Rig,
-    target: Rig,
-    *,
-    by: str = "both",
-    progress: Progress = silent,
+    source: Rig, target: Rig, *, by: str = "both", progress: Progress = silent
 ) -> tuple[NameMatching, list[str]]:
     """Match shapes by name, deformation or both, names first; return the matches and notes."""
     progress(0.1, "matching names")

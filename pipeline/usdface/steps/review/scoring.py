@@ -241,12 +241,7 @@ class ChosenFrame:
 
 
 def choose_frames(
-    pick: FramePick,
-    count: int,
-    *,
-    strength: FloatArray,
-    signals: ReviewSignals,
-    rate: float,
+    pick: FramePick, count: int, *, strength: FloatArray, signals: ReviewSignals, rate: float
 ) -> list[ChosenFrame]:
     """Choose at most `count` frames, at a distance from each other, in order of time.
 

@@ -166,11 +166,7 @@ def _page(
 
 
 def _write_pages(
-    spec: SheetSpec,
-    page: SheetPage,
-    desks: list[_Desk],
-    progress: Progress,
-    provenance: Provenance,
+    spec: SheetSpec, page: SheetPage, desks: list[_Desk], progress: Progress, provenance: Provenance
 ) -> tuple[Path, ...]:
     """Draw and write page by page, to bound memory."""
     comparison = desks[0].comparison

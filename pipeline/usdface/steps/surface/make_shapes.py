@@ -144,10 +144,7 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress) -> 
 
 
 def _report(
-    spec: MakeShapesSpec,
-    plan: SurfacePlan,
-    chosen: tuple[ShapeFrame, ...],
-    written: dict[str, int],
+    spec: MakeShapesSpec, plan: SurfacePlan, chosen: tuple[ShapeFrame, ...], written: dict[str, int]
 ) -> StepResult:
     notes = [*plan.notes, *sampler_notes(plan.model)]
     renamed = [
