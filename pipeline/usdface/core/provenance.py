@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,11 @@ class Provenance:
 def canonical_json(data: Any) -> str:
     """Return JSON that is equal for equal data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def relative_name(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder as files store it: with ``/`` on every system."""
+    return os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/")
 
 
 def hash_text(text: str) -> str:

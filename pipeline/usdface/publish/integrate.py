@@ -3,7 +3,6 @@
 import hashlib
 import itertools
 import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from usdface.core.errors import InputError
+from usdface.core.provenance import relative_name
 from usdface.core.replacing import write_text
 from usdface.core.text import json_text
 from usdface.core.version import __version__
@@ -123,9 +123,9 @@ def _write_manifest(
         "verdict": None
         if item.verdict is None
         else {"level": item.verdict.level, "sentence": item.verdict.sentence},
-        "performance": _relative(item.performance, folder),
-        "take": None if item.take is None else _relative(item.take, folder),
-        "rig": _relative(item.rig, folder),
+        "performance": relative_name(item.performance, folder),
+        "take": None if item.take is None else relative_name(item.take, folder),
+        "rig": relative_name(item.rig, folder),
         "files": files,
     }
     write_text(folder / MANIFEST_NAME, json_text(manifest))
@@ -145,7 +145,3 @@ def _holds(folder: Path, files: Mapping[str, str], hashes: dict[str, str]) -> bo
         return {*stated} == {*files} and _hashes(folder, files) == hashes
     except (InputError, OSError):
         return False
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/")

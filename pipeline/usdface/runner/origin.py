@@ -1,13 +1,12 @@
 """Provenance of files: made from a spec, read back, and used to find a file's inputs."""
 
-import os
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from usdface.core.errors import InputError
-from usdface.core.provenance import Provenance, canonical_json, hash_files
+from usdface.core.provenance import Provenance, canonical_json, hash_files, relative_name
 from usdface.core.sidecars import corrected_path, is_usd_name
 from usdface.core.text import json_object, pluralize, read_text
 from usdface.specs.base import Spec
@@ -57,15 +56,15 @@ def make_provenance(spec: Spec) -> Provenance:
     """Hash a spec's inputs; paths are stored relative to the output, so that folders can move."""
     anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
     read = {**traced_files(spec), **spec.reads()}
-    inputs = {_relative(path, anchor): hash_input(path, how) for path, how in read.items()}
+    inputs = {relative_name(path, anchor): hash_input(path, how) for path, how in read.items()}
     data = spec.model_dump(mode="json", exclude_defaults=True)
     for kind in (Reads, Writes):
         for name in type(spec).fields_marked(kind):
             value = getattr(spec, name)
             if isinstance(value, Path):
-                data[name] = _relative(value, anchor)
+                data[name] = relative_name(value, anchor)
             elif value is not None:
-                data[name] = [_relative(each, anchor) for each in value]
+                data[name] = [relative_name(each, anchor) for each in value]
     return Provenance(step=spec.step, spec=canonical_json(data), inputs=inputs)
 
 
@@ -168,10 +167,6 @@ def input_files(path: Path, how: Reads) -> list[Path]:
     if how.alone or not is_layer_name(path):
         return [path]
     return referenced_files(path) if how.assets else dependencies(path)
-
-
-def _relative(path: Path, anchor: Path) -> str:
-    return os.path.relpath(path.resolve(), anchor).replace(os.sep, "/")
 
 
 def spec_of(provenance: Provenance | None) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """Detection of faces in the pictures of a video, resumable and in parts on a farm."""
 
 import contextlib
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,7 +15,7 @@ from usdface.capture.sample_times import picture_frames
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part
-from usdface.core.provenance import Provenance, hash_text
+from usdface.core.provenance import Provenance, hash_text, relative_name
 from usdface.core.side_files import STRETCH_FILES, make_side_folder, remove_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.media.film.timed_frames import ImageSequence, OpenVideo
@@ -188,8 +187,7 @@ class PictureDetector:
 
     def _video_hash(self) -> str:
         anchor = self._spec.out.resolve().parent  # as provenance names inputs
-        name = os.path.relpath(self._video.resolve(), anchor).replace(os.sep, "/")
-        return self._inputs.get(name, "")
+        return self._inputs.get(relative_name(self._video, anchor), "")
 
     def _check_model(self) -> None:
         self._model = named_model(self._spec.model)
