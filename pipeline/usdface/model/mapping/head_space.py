@@ -1,7 +1,6 @@
-"""Alignment of a take with a performer's marker order, head space and neutral face."""
+"""TakeAlignment of a take with a performer's marker order, head space and neutral face."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -10,49 +9,24 @@ from usdface.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
-    median_places,
-    rms_radius,
     sample_frames,
 )
 from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace
+from usdface.model.mapping.take_alignment import TakeAlignment, align_to_medians, align_to_pairs
 from usdface.model.mapping.take_neutral import (
-    MIN_OFFSET_MM,
     TakeNeutral,
-    check_not_mirrored,
     compare_neutral,
 )
-from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.rigid.pose_error import PoseErrors, observed_motion
-from usdface.numerics.rigid.rigid_alignment import FEWEST_RIGID, align_rigid, optimal_rotations
 from usdface.numerics.rigid.rigid_template import RigidTemplate
 
 MINIMUM_SHARE = 0.5
 """Share of the mapping's markers that a take must have: with fewer, most of the face is unobserved.
 """
-
-RIGID_TOLERANCE_MM = 5.0
-"""Largest median distance of the rigid markers from the performer's after alignment."""
-
-_RIGID_RADIUS_MM = 60.0
-"""Usual RMS distance of rigid markers from their centre: 40 mm on a brow and nose, 90 on a cap."""
-
-_EXPLAINED_SHARE = 0.25
-"""A scale explains the distances of the rigid markers if it reduces their root mean square to less
-than this share: of four that were put on again, in 0.2 % of cases."""
-
-_LEAST_SCALE = 0.005
-"""Relative difference of sizes from which calibrations differ: noise of 0.1 mm has 0.002."""
-
-_UNIT_RATIO = 2.0
-"""Ratio of sizes from which units differ, by 2.5 or more: heads differ by up to 33 %, and by half
-again if their rigid markers sit elsewhere."""
-
-_SLIP_MM = 1.0
-"""Scale of the Geman-McClure weights, which reject rigid markers that slipped."""
 
 _MOVED_MM = 2.0
 """Mean error of the poses from which the rigid markers, as of a head band, were put on again: head
@@ -65,9 +39,6 @@ _OFFSET_ERROR_SHARE = 0.25
 _PAIR_OFFSET_ERROR_SHARE = 0.36
 """The same of an offset that one reference pair of the take tells; of n pairs, over sqrt(n)
 (decision 62)."""
-
-_ALIGNMENT_ROUNDS = 10
-"""Iteratively reweighted alignments."""
 
 
 @dataclass(frozen=True)
@@ -151,23 +122,6 @@ class HeadSpace:
         return np.asarray(moved + self.pair_offset)
 
 
-class _Alignment(NamedTuple):
-    """Rigid alignment of a take with a performer's face."""
-
-    rotation: FloatArray
-    """(3, 3)"""
-    shift: FloatArray
-    """(3,) [mm]"""
-    pair_offset: FloatArray | float = 0.0
-    """As of `HeadSpace`."""
-    moved_mm: float = 0.0
-    """As of `HeadSpace`."""
-    pairs: int = 0
-    """Number of the take's reference pairs by which it is aligned."""
-    scale: float = 1.0
-    """As of `HeadSpace`."""
-
-
 def find_head_space(
     face: PerformerFace,
     markers: Markers,
@@ -210,8 +164,8 @@ def find_head_space(
     if template is not None:
         positions = template.align(positions, visible)
     numbers = np.arange(len(positions)) if frames is None else frames
-    by_pairs = _align_pairs(face, take, numbers, positions, visible)
-    aligned = by_pairs or _align_medians(face, positions, visible)
+    by_pairs = align_to_pairs(face, take, numbers, positions, visible)
+    aligned = by_pairs or align_to_medians(face, positions, visible)
     positions = positions - np.float32(aligned.pair_offset)
     picks = sample_frames(len(positions), SAMPLE_FRAMES)
     if frames is not None:
@@ -253,8 +207,8 @@ def find_head_space(
 
 
 def _correct_poses(
-    face: PerformerFace, positions: FloatArray, seen: BoolArray, aligned: _Alignment
-) -> tuple[_Alignment, PoseErrors | None]:
+    face: PerformerFace, positions: FloatArray, seen: BoolArray, aligned: TakeAlignment
+) -> tuple[TakeAlignment, PoseErrors | None]:
     """Remove the mean error of a take's poses from its alignment; return the errors that are left.
 
     Where the rig's motion of the markers is not known, that of the performer's frames tells the
@@ -281,31 +235,8 @@ def _correct_poses(
     return corrected, replace(left, size_mm=left.size_mm * (size_mm > 0))
 
 
-def _align_pairs(
-    face: PerformerFace, take: str, numbers: IntArray, positions: Float32Array, visible: BoolArray
-) -> _Alignment | None:
-    """Map a take's frames to its own reference pairs, by markers that are visible in all of these.
-
-    None if the pairs are fewer than two, or frames of another take of that name.
-    """
-    frames, markers = face.pairs.get(take, (numbers[:0], face.frames[:0]))
-    _, rows, pairs = np.intersect1d(numbers, frames, return_indices=True)
-    seen = visible[rows].all(axis=0)
-    if len(rows) < 2 or seen.sum() < FEWEST_RIGID:
-        return None
-    own, others = positions[rows][:, seen], markers[pairs][:, seen]
-    middle, target = own.mean(axis=0), others.mean(axis=0)
-    rotation, shift = _robust_transform(middle, target)
-    offset = np.zeros_like(face.neutral)
-    offset[seen] = middle - (target - shift) @ rotation
-    away = own - offset[seen] - (others - shift) @ rotation
-    scatter_mm = np.sqrt((away**2).sum(axis=2).mean())
-    aligned = _Alignment(rotation, shift, offset, pairs=len(rows))
-    return aligned if scatter_mm < MIN_OFFSET_MM else None
-
-
 def _known_share(
-    face: PerformerFace, offset: FloatArray, aligned: _Alignment, shown: IntArray
+    face: PerformerFace, offset: FloatArray, aligned: TakeAlignment, shown: IntArray
 ) -> FloatArray:
     """Return `HeadSpace.known_share` of the offsets of markers `shown`."""
     on_skin = shown[~np.isin(np.array(face.marker_names)[shown], face.rigid)]
@@ -350,92 +281,6 @@ def _in_order(
     visible &= finite
     positions[~finite] = 0.0
     return positions, visible
-
-
-def _align_medians(face: PerformerFace, positions: Float32Array, visible: BoolArray) -> _Alignment:
-    """Map the median positions of a take's rigid markers to the performer's.
-
-    Those of all markers, where the rigid ones are too few, collinear, or elsewhere, as of a head
-    band that was put on again.
-    """
-    # Medians over whole takes, as a single neutral frame is noisy.
-    common = np.flatnonzero(visible.any(axis=0) & face.usable.any(axis=0))
-    target, median = (
-        median_places(points[:, common], seen[:, common])
-        for points, seen in ((face.frames, face.usable), (positions, visible))
-    )
-    names = np.array(face.marker_names)[common]
-    rigid = np.isin(names, face.rigid)
-    is_determined = align_rigid(target[None, rigid], target[rigid]).determined[0]
-    used = rigid if is_determined else np.ones(len(common), np.bool_)
-    if used.sum() < FEWEST_RIGID:
-        raise InputError(
-            f"the take and those of the mapping have {used.sum()} markers in common that are "
-            f"ever seen, at least {FEWEST_RIGID} are needed to find its head space"
-        )
-    rotation, shift = _robust_transform(median[used], target[used])
-    away = np.linalg.norm(median @ rotation.T + shift - target, axis=1)
-    if np.median(away[used]) <= RIGID_TOLERANCE_MM:
-        scale = _explaining_scale(median[used], target[used], away[used])
-        return _Alignment(rotation, shift, scale=scale)
-    by_face = _robust_transform(median, target)
-    face_away = np.linalg.norm(median @ by_face[0].T + by_face[1] - target, axis=1)
-    if np.median(face_away) > RIGID_TOLERANCE_MM:
-        check_not_mirrored(median, target)
-        _refuse(names[used].tolist(), median[used], target[used], away[used])
-    return _Alignment(*by_face, moved_mm=float(np.sqrt((face_away[rigid] ** 2).mean())))
-
-
-def _refuse(names: list[str], median: FloatArray, target: FloatArray, away: FloatArray) -> NoReturn:
-    """Refuse a take whose markers are not those of the performer, with the probable cause."""
-    here, there = map(rms_radius, (median, target))
-    size = here / there
-    if not 1 / _UNIT_RATIO < size < _UNIT_RATIO:
-        wrong, factor = "the take", size
-        if abs(np.log(here / _RIGID_RADIUS_MM)) < abs(np.log(there / _RIGID_RADIUS_MM)):
-            wrong, factor = "those", 1 / size
-        raise InputError(
-            f"the distances between the take's rigid markers are {size:.3g} times those of the "
-            f"takes it is compared with: one of them is in another unit; ingest {wrong} again "
-            f"and {unit_remedy(factor)}"
-        )
-    cause = "it is another marker set or another performer: select and train for it separately"
-    if _explaining_scale(median, target, away) != 1.0:
-        cause = (
-            f"a scale explains it: every distance is {size:.3g} times as large. If "
-            f"units or calibration differ, ingest it again with {1 / size:.3g} times its "
-            "--scale (default 1); else it is another performer: select and train for it "
-            "separately"
-        )
-    raise InputError(
-        f"the take's rigid markers are {np.median(away):.1f} mm from those of the takes it is "
-        f"compared with ({names[int(away.argmax())]}: {away.max():.1f} mm), and its face does not "
-        f"agree with theirs either; {cause}"
-    )
-
-
-def _explaining_scale(median: FloatArray, target: FloatArray, away: FloatArray) -> float:
-    """Return how many times as large rigid markers are if that explains their distances, or 1."""
-    size = rms_radius(median) / rms_radius(target)
-    turned, moved = _robust_transform(median / size, target)
-    scaled = np.linalg.norm(median / size @ turned.T + moved - target, axis=1)
-    explained = (scaled**2).mean() < _EXPLAINED_SHARE**2 * (away**2).mean()
-    differs = abs(size - 1) > _LEAST_SCALE and len(median) > FEWEST_RIGID
-    return size if explained and differs else 1.0
-
-
-def _robust_transform(points: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rotation and shift of points onto others, robust against points that slipped."""
-    weights = np.ones(len(points))
-    for _ in range(_ALIGNMENT_ROUNDS):
-        centre = np.average(points, axis=0, weights=weights)
-        target_centre = np.average(target, axis=0, weights=weights)
-        covariance = (weights[:, None] * (target - target_centre)).T @ (points - centre)
-        rotations, _ = optimal_rotations(covariance[None], rank_tolerance=1e-12)
-        rotation: FloatArray = rotations[0]
-        residual = np.linalg.norm((points - centre) @ rotation.T - (target - target_centre), axis=1)
-        weights = 1 / (1 + (residual / _SLIP_MM) ** 2) ** 2
-    return rotation, target_centre - rotation @ centre
 
 
 def pose_error_note(subject: str, size_mm: float) -> str:

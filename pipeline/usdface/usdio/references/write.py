@@ -18,7 +18,6 @@ from usdface.core.rig_logic import logic_of
 from usdface.core.sidecars import proposed_path, samples_path, tuned_path
 from usdface.core.trajectories import TRAJECTORY_SECONDS
 from usdface.usdio.authoring import (
-    PointExtents,
     apply_api,
     author_series,
     author_uniform,
@@ -27,6 +26,7 @@ from usdface.usdio.authoring import (
     doubles,
 )
 from usdface.usdio.layers import new_layer, new_layers, relative_path
+from usdface.usdio.point_extents import PointExtents
 from usdface.usdio.references.pair_layers import author_pair_header
 from usdface.usdio.references.read import (
     AUTHOR,

@@ -13,7 +13,6 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import samples_path
 from usdface.usdio.authoring import (
-    PointExtents,
     apply_api,
     author_gaps,
     author_series,
@@ -23,6 +22,7 @@ from usdface.usdio.authoring import (
     define_prim,
 )
 from usdface.usdio.layers import FRAMES_IN_MEMORY, new_layer, new_layers, open_layer, relative_path
+from usdface.usdio.point_extents import PointExtents
 from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
 _ROOT = Sdf.Path("/Take")
