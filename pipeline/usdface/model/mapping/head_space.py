@@ -1,4 +1,4 @@
-"""TakeAlignment of a take with a performer's marker order, head space and neutral face."""
+"""Alignment of a take with a performer's marker order, head space and neutral face."""
 
 from dataclasses import dataclass, replace
 
