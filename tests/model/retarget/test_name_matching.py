@@ -46,6 +46,13 @@ def test_shapes_of_one_meaning_are_told_apart_by_names_that_differ_in_a_prefix()
         np.testing.assert_array_equal(transfer.matrix, np.eye(3))
 
 
+@pytest.mark.parametrize(("one", "other"), [("L_", "R_"), ("jaw_", "mouth_")])
+def test_a_prefix_that_tells_shapes_apart_is_a_difference(one: str, other: str) -> None:
+    for parts in (("smile", "eyeBlink"), ("left", "right")):
+        source, target = ([start + part for part in parts] for start in (one, other))
+        assert not transfer_by_names(source, target).matched
+
+
 def test_a_shared_word_that_is_part_of_the_names_stays() -> None:
     """Of a rig of mouth shapes alone, `mouth` is no prefix; nor is a side that all are of."""
     mouths = [name for name in ARKIT if name.startswith("mouth")]

@@ -89,15 +89,20 @@ def match_names(source: Sequence[str], target: Sequence[str]) -> NameMatching:
     """Match the shapes of two rigs by name, and list ambiguous shapes.
 
     If one side of a motion is ambiguous, neither side is matched. A prefix of all names of a rig,
-    such as `bs_`, is no difference if more names are equal without it.
+    such as `bs_`, is no difference if more names are equal without it, and mean the same with it:
+    `L_smile` is not `R_smile`.
     """
+    source_meanings, target_meanings = read_meanings(source), read_meanings(target)
     own, other = (
         dict(zip(_without_prefix(names), names, strict=True)) for names in (source, target)
     )
-    if len(own.keys() & other.keys()) > len(set(source).intersection(target)):
+    shared = own.keys() & other.keys()
+    if len(shared) > len(set(source).intersection(target)) and all(
+        _cells(source_meanings, own[name]) == _cells(target_meanings, other[name])
+        for name in shared
+    ):
         return _with_names(match_names(list(own), list(other)), own, other)
     same = [name for name in source if name in set(target)]
-    source_meanings, target_meanings = read_meanings(source), read_meanings(target)
     excluded: dict[str, str] = {}
     _exclude_duplicates(source_meanings, same, excluded, "the source")
     assigned = _assign_cells(target_meanings, source_meanings, same, excluded)
@@ -133,6 +138,10 @@ def match_names(source: Sequence[str], target: Sequence[str]) -> NameMatching:
         )
     )
     return NameMatching(tuple(ordered), notes, by)
+
+
+def _cells(meanings: Mapping[str, Meaning], name: str) -> frozenset[Cell]:
+    return meanings[name].cells if name in meanings else frozenset()
 
 
 def _without_prefix(names: Sequence[str]) -> list[str]:
